@@ -5,12 +5,13 @@
 
 use crate::common;
 
+use std::f32::consts::{PI, TAU};
 use std::path::Path;
 
 use common::{portolan, portolan_with_code, real, text, trajectory_errors};
 use portolan_evaluation::{Alignment, Association, TimedPose, Trajectory, absolute_errors, read_tum};
-use portolan_geometry::{Rigid2, Rigid3, Vector3};
-use portolan_recording::{Message, RecordedMessage};
+use portolan_geometry::{Duration, Rigid2, Rigid3, Vector3};
+use portolan_recording::{LaserScan, Message, RecordedMessage};
 use portolan_testing::is_fast;
 
 /// Maps into a folder. Reading may lose data: clouds or scans that are damaged or out of order in the recording.
@@ -451,4 +452,54 @@ fn an_imu_that_turns_the_wrong_way_is_left_out() {
     assert!(error <= 1.3 * 0.009, "{error} m");
     let check = portolan_with_code(1, &["check", &text(&mirrored)]);
     assert!(check.stdout.contains("turns the other way than the lidar"), "{}", check.stdout);
+}
+
+/// The planar scanner that a 3D lidar contains: the nearest points at the height of the lidar. KITTI's turns are clockwise from
+/// behind, with the stamp in their middle.
+fn planar_scan(message: RecordedMessage) -> Option<RecordedMessage> {
+    const BEAMS: usize = 720;
+    const PERIOD: f32 = 0.1036;
+    let RecordedMessage { log_time, message: Message::PointCloud2(cloud), .. } = message else { return None };
+    let at = |name: &str| cloud.fields.iter().find(|field| field.name == name).unwrap().offset as usize;
+    let offsets = [at("x"), at("y"), at("z")];
+    let step = TAU / BEAMS as f32;
+    let mut ranges = vec![f32::INFINITY; BEAMS];
+    for point in cloud.data.chunks_exact(cloud.point_step as usize) {
+        let [x, y, z] = offsets.map(|at| f32::from_le_bytes(point[at..at + 4].try_into().unwrap()));
+        let range = x.hypot(y);
+        let beam = ((PI - y.atan2(x)) / step) as usize % BEAMS;
+        if (1.0..80.0).contains(&range) && (z / range).abs() < 0.25_f32.to_radians().tan() {
+            ranges[beam] = ranges[beam].min(range);
+        }
+    }
+    let mut header = cloud.header;
+    header.stamp = header.stamp - Duration::from_seconds(0.5 * f64::from(PERIOD));
+    let scan = LaserScan {
+        header,
+        angle_min: PI - 0.5 * step,
+        angle_max: 0.5 * step - PI,
+        angle_increment: -step,
+        time_increment: PERIOD / BEAMS as f32,
+        scan_time: PERIOD,
+        range_min: 0.5,
+        range_max: 80.0,
+        ranges,
+        intensities: Vec::new(),
+    };
+    Some(RecordedMessage { topic: "/scan".into(), log_time, message: Message::LaserScan(scan) })
+}
+
+/// Nothing but a planar scanner on a car that is already driving at 4 or 13 m/s.
+#[test]
+fn a_start_at_speed_is_found_by_a_planar_scanner() {
+    for (name, measured) in [("kitti_0005", 0.106), ("kitti_0001", 0.12)] {
+        let Some(recording) = real(&format!("lidar3d/{name}.bag")) else { return };
+        let truth = read(&real(&format!("lidar3d/{name}.truth.tum")).unwrap());
+        let folder = tempfile::tempdir().unwrap();
+        let planar = folder.path().join("planar.bag");
+        rewritten(&recording, &planar, |_, message| planar_scan(message).into_iter().collect());
+        map(&text(&planar), folder.path(), &[]);
+        let error = error_of(&truth, &read(&text(&folder.path().join("trajectory.tum"))));
+        assert!(error <= 1.3 * measured, "{name}: {error} m");
+    }
 }

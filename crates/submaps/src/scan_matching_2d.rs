@@ -59,8 +59,12 @@ impl ScanMatcher2d {
         Some(SearchWindow { linear: options.linear_search_window, angular: options.angular_search_window })
     }
 
-    /// The search in a window, with the usual preference for its middle stretched to its size.
-    fn search_in(&self, window: Option<SearchWindow>) -> Option<RealTimeCorrelativeMatcher2d> {
+    /// The search in a window, with the usual preference for its middle stretched to its size, limited to this share of scores.
+    fn search_in(
+        &self,
+        window: Option<SearchWindow>,
+        largest_penalty: f64,
+    ) -> Option<RealTimeCorrelativeMatcher2d> {
         let usual = self.correlative.as_ref()?;
         let stretch = |wide: f64, usual: f64| if usual > 0.0 { wide / usual } else { 1.0 };
         let options = window.map_or_else(
@@ -74,7 +78,7 @@ impl ScanMatcher2d {
                     / stretch(w.angular, usual.angular_search_window),
             },
         );
-        Some(RealTimeCorrelativeMatcher2d::new(&options).ok()?.with_largest_penalty(self.largest_penalty))
+        Some(RealTimeCorrelativeMatcher2d::new(&options).ok()?.with_largest_penalty(largest_penalty))
     }
 
     /// The pose of the scan in the local map. `cloud` are the points to match, picked from `returns`.
@@ -88,7 +92,28 @@ impl ScanMatcher2d {
         window: Option<SearchWindow>,
     ) -> ScanMatch2d {
         let Some(submap) = submap else { return ScanMatch2d { pose: prediction, score: None } };
-        let searched = self.search_in(window).and_then(|matcher| {
+        self.match_to(submap, prediction, [cloud, returns], self.search_in(window, self.largest_penalty))
+    }
+
+    /// The same within a window in which no place is preferred.
+    pub fn match_anywhere(
+        &self,
+        submap: &Submap2d,
+        around: Rigid2,
+        clouds: [&PointCloud; 2],
+        window: SearchWindow,
+    ) -> ScanMatch2d {
+        self.match_to(submap, around, clouds, self.search_in(Some(window), 0.0))
+    }
+
+    fn match_to(
+        &self,
+        submap: &Submap2d,
+        prediction: Rigid2,
+        [cloud, returns]: [&PointCloud; 2],
+        search: Option<RealTimeCorrelativeMatcher2d>,
+    ) -> ScanMatch2d {
+        let searched = search.and_then(|matcher| {
             let spacing = (DENSE_CELLS * submap.grid.limits().resolution()) as f32;
             let dense = if self.holds_search_result {
                 densely_sampled(cloud, returns, spacing, MIN_DENSE_SHARE)

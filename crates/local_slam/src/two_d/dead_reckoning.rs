@@ -6,9 +6,9 @@
 
 use portolan_geometry::Rigid2;
 
-use super::OdometryBridge;
 use super::motion::{FASTEST, Motion};
 use super::prediction_error::PredictionSigmas;
+use crate::OdometryBridge;
 
 /// With less motion than this in all, metres and radians, odometry stood still while what scans see changed.
 const STANDING: (f64, f64) = (0.1, 0.1);

@@ -83,7 +83,7 @@ impl BeamEvidence {
     }
 
     /// Logarithm of the likelihood ratio of a right pose and a wrong one. Beams of which the map knows nothing say nothing.
-    fn log_likelihood(&self, agreement: &ScanAgreement, witnesses: Witnesses) -> f64 {
+    pub fn log_likelihood(&self, agreement: &ScanAgreement, witnesses: Witnesses) -> f64 {
         let (right, wrong) = IN_FREE_SPACE;
         let in_free_space = (wrong / self.in_free_space.clamp(right, wrong)).ln();
         let share = f64::from;

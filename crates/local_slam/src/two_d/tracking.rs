@@ -10,7 +10,6 @@ use portolan_sensor::PointCloud;
 use portolan_submaps::{ScanMatch2d, ScanMatcher2d, SearchWindow};
 
 use super::LocalSlamExtras;
-use super::OdometryBridge;
 use super::belief::{is_hardly_explained, refutes_place};
 use super::catching_up::CatchingUp;
 use super::degeneracy::WeakDirection;
@@ -21,6 +20,7 @@ use super::odometry_scale::OdometryScale;
 use super::posterior::{BeamEvidence, MotionPrior};
 use super::prediction_error::{PredictionError, PredictionSigmas, UsualScore};
 use super::scan::{Scan, with_share};
+use crate::OdometryBridge;
 use crate::remembered_scans::RememberedScans;
 
 /// Scans are searched within so many standard deviations of their prediction.
@@ -51,6 +51,8 @@ pub(super) struct Found {
 pub(super) struct Tracker {
     matcher: ScanMatcher2d,
     is_adaptive: bool,
+    /// No scan is looked for farther from its prediction, if this is set.
+    limit: Option<SearchWindow>,
     /// After so many seconds of which nothing was measured the scanner may as well have stood still.
     gap: f64,
     odometry_scale: OdometryScale,
@@ -74,6 +76,7 @@ impl Tracker {
         Ok(Self {
             matcher: ScanMatcher2d::new(options, extras.search_penalty_limit)?,
             is_adaptive: extras.adaptive_search,
+            limit: None,
             gap: if extras.wide_search_after_gap > 0.0 {
                 extras.wide_search_after_gap
             } else {
@@ -89,6 +92,11 @@ impl Tracker {
             looked: None,
             remembered: RememberedScans::default(),
         })
+    }
+
+    /// Looks for no scan farther from its prediction.
+    pub fn limit_to(&mut self, window: SearchWindow) {
+        self.limit = Some(window);
     }
 
     /// Remembers where scans were found with this.
@@ -152,6 +160,11 @@ impl Tracker {
         let found = self.search((&scan, balanced.as_ref().unwrap_or(scan.cloud)), prediction, window);
         self.looked = Some(Looked { around: prediction, window, found });
         Some(found.pose).filter(Rigid2::is_finite)
+    }
+
+    /// Where the scan fits best within a window. Nothing is learned from it, and nothing remembered.
+    pub fn search_freely(&self, scan: &Scan, around: Rigid2, window: SearchWindow) -> Rigid2 {
+        self.matcher.match_anywhere(scan.submap, around, [scan.cloud, scan.returns], window).pose
     }
 
     /// Another scan is to be found than that which was looked for.
@@ -239,7 +252,7 @@ impl Tracker {
         let agreement = scan_agreement(&scan.submap.grid, &found.pose, scan.cloud);
         let is_low = found.score.is_some_and(|score| self.usual_score.is_low(score));
         let is_refuted = agreement.as_ref().is_some_and(refutes_place);
-        let wide = (is_low || is_refuted || near.is_at_edge(window))
+        let wide = (self.limit.is_none() && (is_low || is_refuted || near.is_at_edge(window)))
             .then(|| self.search_wide((scan, cloud), near, wide_window(window, motion)));
         let prior = self.prior(near.around, motion);
         let is_doubted = scan.witnesses.are_few() && is_elsewhere(&(near.around.inverse() * found.pose))
@@ -421,6 +434,9 @@ impl Tracker {
 
     /// As far as predictions with these errors can be off.
     fn window_of(&self, sigmas: &PredictionSigmas) -> SearchWindow {
+        if let Some(limit) = self.limit {
+            return limit;
+        }
         let usual = self.matcher.usual_window().unwrap_or(SearchWindow { linear: 0.0, angular: 0.0 });
         SearchWindow {
             linear: usual.linear.max(WITHIN_SIGMAS * sigmas.translation).min(WIDEST.linear),

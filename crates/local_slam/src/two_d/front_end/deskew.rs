@@ -7,12 +7,13 @@
 use portolan_geometry::{Quaternion, Rigid2, Rigid3, Time, embed_3d, project_2d, yaw};
 use portolan_sensor::{PointCloud, SynchronizedRanges};
 
-use super::gather::{Accumulation, GatheredScan, gravity_aligned, unwarp};
-use super::motion::{LONGEST_UNMEASURED, Motion};
-use super::scan::{Scan, with_share};
-use super::{LocalSlam2d, filtered};
+use super::super::gather::{Accumulation, GatheredScan, gravity_aligned, unwarp};
+use super::super::motion::{LONGEST_UNMEASURED, Motion};
+use super::super::scan::{Scan, with_share};
+use super::FrontEnd;
+use crate::filtered;
 
-impl LocalSlam2d {
+impl FrontEnd {
     /// The scan de-skewed by the motion that it shows itself, where nothing measured the motion and that moves its points.
     pub(super) fn deskewed(
         &mut self,

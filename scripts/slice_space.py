@@ -1,0 +1,88 @@
+#!/usr/bin/env python3
+"""slice_space.py BAG OUT.bag ... : the planar scanner that a 3D lidar contains: a ROS 1 bag of laser scans.
+
+Of each sweep the nearest point of every beam is taken, in a fan of some degrees of elevation seen from the lidar.
+
+    --elevation D      middle of the fan, degrees (0)
+    --height D         height of the fan, degrees (0.5)
+    --beams N          beams of a turn (720)
+    --view D           degrees of view, ahead in the middle (360)
+    --range M          longest range, metres (80)
+    --ahead            turns begin ahead, not behind
+    --still            the points are de-skewed: scans without times
+    --alone            the scanner alone, without IMU and all else
+
+Turns are taken to be clockwise, at constant speed, with the stamp in their middle, as KITTI's are. Needs rosbags and numpy.
+"""
+import argparse
+
+import numpy as np
+from bags import add_connections
+from rosbags.rosbag1 import Reader, Writer
+from rosbags.typesys import Stores, get_typestore
+
+STORE = get_typestore(Stores.ROS1_NOETIC)
+LIDAR = "sensor_msgs/msg/PointCloud2"
+SCAN = "sensor_msgs/msg/LaserScan"
+
+
+def coordinates(cloud):
+    raw = np.frombuffer(bytes(cloud.data), np.uint8).reshape(-1, cloud.point_step)
+    offsets = {field.name: field.offset for field in cloud.fields}
+    return [np.ascontiguousarray(raw[:, offsets[axis] : offsets[axis] + 4]).view("<f4")[:, 0].astype(float) for axis in "xyz"]
+
+
+def stamp_of(seconds):
+    whole = int(np.floor(seconds))
+    return STORE.types["builtin_interfaces/msg/Time"](whole, int(round((seconds - whole) * 1e9)) % 10**9)
+
+
+def scan_of(cloud, period, options):
+    """The fan of a sweep as a scan, clockwise."""
+    x, y, z = coordinates(cloud)
+    distance = np.hypot(x, y)
+    off = np.degrees(np.arctan2(z, distance)) - options.elevation
+    used = (np.abs(off) <= 0.5 * options.height) & (distance > 1.0) & (distance < options.range)
+    step = 2 * np.pi / options.beams
+    count = int(round(options.beams * options.view / 360))
+    first = (0.0 if options.ahead else np.pi) if options.view == 360 else np.radians(0.5 * options.view)
+    beam = np.floor((first - np.arctan2(y[used], x[used])) % (2 * np.pi) / step).astype(int)
+    ranges = np.full(options.beams, np.inf)
+    np.minimum.at(ranges, beam, distance[used])
+    header = cloud.header
+    seconds = header.stamp.sec + 1e-9 * header.stamp.nanosec
+    increment = 0.0 if options.still else period / options.beams
+    header.stamp = stamp_of(seconds - 0.5 * count * increment)
+    ranges = ranges[:count].astype(np.float32)
+    angles = (first - 0.5 * step, first - (count - 0.5) * step, -step)
+    return STORE.types[SCAN](header, *angles, increment, period, 0.5, options.range, ranges, np.zeros(0, np.float32))
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("bag")
+    parser.add_argument("out")
+    parser.add_argument("--elevation", type=float, default=0.0)
+    parser.add_argument("--height", type=float, default=0.5)
+    parser.add_argument("--beams", type=int, default=720)
+    parser.add_argument("--view", type=float, default=360)
+    parser.add_argument("--range", type=float, default=80)
+    parser.add_argument("--ahead", action="store_true")
+    parser.add_argument("--still", action="store_true")
+    parser.add_argument("--alone", action="store_true")
+    options = parser.parse_args()
+    with Reader(options.bag) as reader, Writer(options.out) as writer:
+        clouds = [m for m in reader.messages() if m[0].msgtype == LIDAR]
+        times = [m[1] * 1e-9 for m in clouds]
+        period = float(np.median(np.diff(times)))
+        added = add_connections(reader, writer)
+        scans = writer.add_connection("/scan", SCAN, typestore=STORE)
+        for connection, time, data in reader.messages():
+            if connection.msgtype == LIDAR:
+                scan = scan_of(STORE.deserialize_ros1(data, LIDAR), period, options)
+                writer.write(scans, time, STORE.serialize_ros1(scan, SCAN))
+            elif not options.alone:
+                writer.write(added[connection.id], time, data)
+
+
+main()
