@@ -473,7 +473,7 @@ fn planar_scan(message: RecordedMessage) -> Option<RecordedMessage> {
         }
     }
     let mut header = cloud.header;
-    header.stamp = header.stamp - Duration::from_seconds(0.5 * f64::from(PERIOD));
+    header.stamp -= Duration::from_seconds(0.5 * f64::from(PERIOD));
     let scan = LaserScan {
         header,
         angle_min: PI - 0.5 * step,

@@ -287,6 +287,7 @@ impl FrontEnd {
             self.start_velocity = Velocity::default();
             self.start_extrapolator(time);
             self.has_begun_anew = true;
+            self.tracker.begin_anew();
         }
         Lost { since, remaining, ended_from_begun: Rigid3::identity(), bridge: None }
     }

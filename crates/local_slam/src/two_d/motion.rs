@@ -14,6 +14,8 @@ pub(super) const LONGEST_UNMEASURED: f64 = 2.0;
 pub(super) const ACCELERATION: f64 = 1.0;
 /// The same of the angular acceleration, rad/s².
 pub(super) const ANGULAR_ACCELERATION: f64 = 2.0;
+/// The largest acceleration of a scanner, even of one that is carried, m/s² and rad/s².
+const LARGEST_ACCELERATION: SearchWindow = SearchWindow { linear: 10.0, angular: 30.0 };
 /// No scan is searched farther than this, metres and radians.
 pub(super) const WIDEST: SearchWindow = SearchWindow { linear: 3.0, angular: 1.6 };
 
@@ -65,6 +67,15 @@ impl Motion {
 fn turned_by(angle: f64, motion: &Rigid2) -> Rigid2 {
     let translation = Rigid2::new(0.0, 0.0, angle).transform_point(&motion.translation);
     Rigid2 { translation, ..*motion }
+}
+
+/// How far a scanner can be from where its velocity leads in so many seconds.
+pub(super) fn reached_by_acceleration(seconds: f64) -> SearchWindow {
+    let square = seconds * seconds;
+    SearchWindow {
+        linear: LARGEST_ACCELERATION.linear * square,
+        angular: LARGEST_ACCELERATION.angular * square,
+    }
 }
 
 /// As far as the scanner can have moved.

@@ -265,7 +265,8 @@ impl Start {
         let mut velocity = still;
         for proposed in self.proposed() {
             let other = self.judged(proposed, &best);
-            if other.len() >= best.len() && other.last() > best.last() {
+            // Beams say whether a pose is right rather than wrong: a motion that they speak against is none.
+            if other.len() >= best.len() && other.last() > best.last() && other.last() > Some(&0.0) {
                 (best, velocity) = (other, proposed);
             }
         }

@@ -14,7 +14,10 @@ use super::belief::{is_hardly_explained, refutes_place};
 use super::catching_up::CatchingUp;
 use super::degeneracy::WeakDirection;
 use super::hypotheses::{Basis, Hypothesis, Judgement, Looked};
-use super::motion::{ACCELERATION, ANGULAR_ACCELERATION, LONGEST_UNMEASURED, Motion, WIDEST, wide_window};
+use super::motion::{
+    ACCELERATION, ANGULAR_ACCELERATION, LONGEST_UNMEASURED, Motion, WIDEST, reached_by_acceleration,
+    wide_window,
+};
 use super::odometry_failure::{OdometryFailure, Told};
 use super::odometry_scale::OdometryScale;
 use super::posterior::{BeamEvidence, MotionPrior};
@@ -94,6 +97,13 @@ impl Tracker {
         })
     }
 
+    /// Forgets what scans and motions were usual: what was learned while the pose was lost says nothing of a new piece of map.
+    pub fn begin_anew(&mut self) {
+        self.prediction_error = PredictionError::default();
+        self.usual_score = UsualScore::default();
+        self.beam_evidence = BeamEvidence::default();
+    }
+
     /// Looks for no scan farther from its prediction.
     pub fn limit_to(&mut self, window: SearchWindow) {
         self.limit = Some(window);
@@ -155,7 +165,7 @@ impl Tracker {
     /// Where the scan fits best around its prediction, as far as predictions of what nothing measured were wrong lately. Nothing
     /// is learned from it.
     pub fn look(&mut self, prediction: Rigid2, motion: Motion, scan: Scan) -> Option<Rigid2> {
-        let window = self.window(&motion.to(&prediction));
+        let window = self.window(&motion, &prediction);
         let balanced = WeakDirection::of(scan.returns).map(|weak| weak.balanced(scan.returns));
         let found = self.search((&scan, balanced.as_ref().unwrap_or(scan.cloud)), prediction, window);
         self.looked = Some(Looked { around: prediction, window, found });
@@ -193,7 +203,7 @@ impl Tracker {
         };
         let balanced = weak.as_ref().map(|weak| weak.balanced(scan.returns));
         let cloud = balanced.as_ref().unwrap_or(scan.cloud);
-        let window = self.window(&motion.to(&prediction));
+        let window = self.window(&motion, &prediction);
         let near = self.search_hypotheses(prediction, motion, (&scan, cloud), window);
         let is_failing = motion.is_measured && near.basis == Basis::WentOn;
         let has_caught_up = near.basis == Basis::CaughtUp;
@@ -427,9 +437,19 @@ impl Tracker {
         with_share(&around, &found, share)
     }
 
-    /// As far as predictions of this motion were wrong lately.
-    fn window(&self, motion: &Rigid2) -> SearchWindow {
-        self.window_of(&self.prediction_error.sigmas(motion))
+    /// As far as predictions of such a motion were wrong lately; where nothing measured it, no farther than a scanner can
+    /// have accelerated to, however fast it goes.
+    fn window(&self, motion: &Motion, prediction: &Rigid2) -> SearchWindow {
+        let window = self.window_of(&self.prediction_error.sigmas(&motion.to(prediction)));
+        if motion.is_measured || self.limit.is_some() {
+            return window;
+        }
+        let usual = self.matcher.usual_window().unwrap_or(window);
+        let reached = reached_by_acceleration(motion.seconds);
+        SearchWindow {
+            linear: window.linear.min(usual.linear + reached.linear),
+            angular: window.angular.min(usual.angular + reached.angular),
+        }
     }
 
     /// As far as predictions with these errors can be off.

@@ -9,6 +9,9 @@ use super::*;
 /// A byte stands for this many codes of a cell (a little more than 32767/255).
 const CODES_PER_BYTE: f32 = 128.5;
 
+/// So many shifts are scored in the time of one look-up in the pyramid.
+const SHIFTS_A_LOOKUP: u32 = 4;
+
 /// The first placement with the largest score.
 pub(super) fn best(
     grid: &ProbabilityGrid,
@@ -85,6 +88,12 @@ impl Objective for MeanProbability {
     }
 
     fn score(&self, region: &Region, _byte_sum: u32, scans: &mut RotatedScans, best: &mut Best) {
+        let (first, last) = (region.first, region.last);
+        let shifts = (last.x - first.x + 1).unsigned_abs() * (last.y - first.y + 1).unsigned_abs();
+        // Sums of neighbouring shifts are added up together.
+        if !best.charge(scans.num_points() * shifts.div_ceil(SHIFTS_A_LOOKUP) as usize) {
+            return;
+        }
         let cells = scans.cells_in_given_order(region.first.scan);
         let mean = |cells: &[[i32; 2]], x: i32, y: i32| {
             self.tile.sums(cells, x, y).map(|row| row.map(|sum| sum / self.num_points))
