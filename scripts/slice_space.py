@@ -11,6 +11,9 @@ Of each sweep the nearest point of every beam is taken, in a fan of some degrees
     --ahead            turns begin ahead, not behind
     --still            the points are de-skewed: scans without times
     --alone            the scanner alone, without IMU and all else
+    --odometry F.tum   odometry of the lidar's own motion in the plane, from these poses
+    --scale S          its way is S times as long (1)
+    --delay D          its stamps are D seconds late (0)
 
 Turns are taken to be clockwise, at constant speed, with the stamp in their middle, as KITTI's are. Needs rosbags and numpy.
 """
@@ -24,6 +27,7 @@ from rosbags.typesys import Stores, get_typestore
 STORE = get_typestore(Stores.ROS1_NOETIC)
 LIDAR = "sensor_msgs/msg/PointCloud2"
 SCAN = "sensor_msgs/msg/LaserScan"
+ODOMETRY = "nav_msgs/msg/Odometry"
 
 
 def coordinates(cloud):
@@ -58,6 +62,24 @@ def scan_of(cloud, period, options):
     return STORE.types[SCAN](header, *angles, increment, period, 0.5, options.range, ranges, np.zeros(0, np.float32))
 
 
+def odometry(poses, scale, delay):
+    """Messages made of poses (time, x, y, z, quaternion), in order of their stamps."""
+    time, x, y, z, w = poses[:, 0] + delay, *poses[:, 4:8].T
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    place = scale * (poses[:, 1:3] - poses[0, 1:3])
+    types = STORE.types
+    none = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
+    twist = types["geometry_msgs/msg/TwistWithCovariance"](types["geometry_msgs/msg/Twist"](none, none), np.zeros(36))
+    for t, (px, py), angle in zip(time, place, yaw):
+        pose = types["geometry_msgs/msg/Pose"](
+            types["geometry_msgs/msg/Point"](px, py, 0.0),
+            types["geometry_msgs/msg/Quaternion"](0.0, 0.0, np.sin(0.5 * angle), np.cos(0.5 * angle)),
+        )
+        header = types["std_msgs/msg/Header"](0, stamp_of(t), "odom")
+        pose = types["geometry_msgs/msg/PoseWithCovariance"](pose, np.zeros(36))
+        yield t, types[ODOMETRY](header, "velodyne", pose, twist)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("bag")
@@ -70,6 +92,9 @@ def main():
     parser.add_argument("--ahead", action="store_true")
     parser.add_argument("--still", action="store_true")
     parser.add_argument("--alone", action="store_true")
+    parser.add_argument("--odometry")
+    parser.add_argument("--scale", type=float, default=1.0)
+    parser.add_argument("--delay", type=float, default=0.0)
     options = parser.parse_args()
     with Reader(options.bag) as reader, Writer(options.out) as writer:
         clouds = [m for m in reader.messages() if m[0].msgtype == LIDAR]
@@ -77,7 +102,14 @@ def main():
         period = float(np.median(np.diff(times)))
         added = add_connections(reader, writer)
         scans = writer.add_connection("/scan", SCAN, typestore=STORE)
+        waiting = []
+        if options.odometry:
+            odom = writer.add_connection("/odom", ODOMETRY, typestore=STORE)
+            waiting = list(odometry(np.loadtxt(options.odometry), options.scale, options.delay))
         for connection, time, data in reader.messages():
+            while waiting and waiting[0][0] * 1e9 <= time:
+                stamp, message = waiting.pop(0)
+                writer.write(odom, int(stamp * 1e9), STORE.serialize_ros1(message, ODOMETRY))
             if connection.msgtype == LIDAR:
                 scan = scan_of(STORE.deserialize_ros1(data, LIDAR), period, options)
                 writer.write(scans, time, STORE.serialize_ros1(scan, SCAN))

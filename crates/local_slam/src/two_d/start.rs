@@ -8,7 +8,6 @@ use std::f64::consts::TAU;
 
 use portolan_config::TrajectoryBuilder2dOptions;
 use portolan_geometry::{Duration, Rigid2, Time, Vector2};
-use portolan_grids::scan_agreement;
 use portolan_sensor::{ImuData, SynchronizedRanges};
 use portolan_submaps::SearchWindow;
 
@@ -139,21 +138,20 @@ impl Role {
 fn proposals(tracker: &Tracker, motion: Motion, scan: &Scan) -> Vec<Velocity> {
     let reach = (FASTEST * motion.seconds).min(FARTHEST);
     let rings = ((reach - SQUARE.linear) / (2.0 * SQUARE.linear)).ceil().max(0.0) as i32;
-    let evidence = BeamEvidence::default();
-    let mut found: Vec<(f64, Rigid2)> = Vec::new();
+    let mut found: Vec<(f32, Rigid2)> = Vec::new();
     for (i, j) in (-rings..=rings).flat_map(|i| (-rings..=rings).map(move |j| (i, j))) {
         let off = 2.0 * SQUARE.linear * Vector2::new(f64::from(i), f64::from(j));
         let around = motion.last * Rigid2 { translation: off, angle: 0.0 };
-        let pose = tracker.search_freely(scan, around, SQUARE);
-        let Some(agreement) = scan_agreement(&scan.submap.grid, &pose, scan.cloud) else { return Vec::new() };
-        found.push((evidence.log_likelihood(&agreement, scan.witnesses), pose));
+        let best = tracker.search_freely(scan, around, SQUARE);
+        found.extend(best.score.map(|score| (score, best.pose)));
     }
     found.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut motions: Vec<Rigid2> = Vec::new();
     for (_, pose) in found {
         let step = motion.to(&pose);
         let is_new = |other: &Rigid2| (other.translation - step.translation).norm() > ALIKE;
-        if step.translation.norm() > ALIKE && motions.iter().all(is_new) {
+        let is_possible = step.translation.norm() <= FASTEST * motion.seconds;
+        if is_possible && step.translation.norm() > ALIKE && motions.iter().all(is_new) {
             motions.push(step);
         }
     }
@@ -312,4 +310,81 @@ impl Start {
 /// Whether scans are too far apart for a motion to be followed.
 fn is_sparse(times: &[Time]) -> bool {
     matches!(times, [first, second, ..] if second.seconds_since(*first) > LONGEST_INTERVAL)
+}
+
+#[cfg(test)]
+mod tests {
+    use portolan_config::Options;
+    use portolan_geometry::Point3f;
+    use portolan_sensor::{SensorId, SensorKind, TimedPoint, TimedPointCloudData};
+
+    use super::*;
+    use crate::{LocalSlam, LocalSlam2d};
+
+    /// An avenue of trees: `x`, `y`, radius, metres.
+    fn trees() -> impl Iterator<Item = (f64, f64, f64)> {
+        (0..60).map(|i| {
+            let (along, across) = (f64::from(i * 37 % 61), f64::from(i * 23 % 17));
+            let side = if i % 2 == 0 { 1.0 } else { -1.0 };
+            (1.7 * along - 30.0, side * (4.0 + 0.5 * across), 0.2 + 0.02 * across)
+        })
+    }
+
+    fn range(x: f64, (sin, cos): (f64, f64)) -> f64 {
+        let hit = |(tree_x, tree_y, radius): (f64, f64, f64)| {
+            let (dx, dy) = (tree_x - x, tree_y);
+            let (along, off) = (dx * cos + dy * sin, dy * cos - dx * sin);
+            (along > 0.0 && off.abs() < radius).then(|| along - (radius * radius - off * off).sqrt())
+        };
+        trees().filter_map(hit).fold(f64::INFINITY, f64::min)
+    }
+
+    fn scan(time: Time, x: f64) -> TimedPointCloudData {
+        let ray = |i: i32| {
+            let (sin, cos) = (0.5 * f64::from(i)).to_radians().sin_cos();
+            let range = range(x, (sin, cos)).min(60.0);
+            TimedPoint { position: Point3f::new((range * cos) as f32, (range * sin) as f32, 0.0), time: 0.0 }
+        };
+        TimedPointCloudData {
+            time,
+            origin_in_tracking: Point3f::origin(),
+            points_in_tracking: (0..720).map(ray).collect(),
+            intensities: Vec::new(),
+        }
+    }
+
+    /// How far a scanner is said to have gone in 2 s at this speed, m/s, and how many of its 21 scans were found.
+    fn followed(speed: f64) -> (f64, usize) {
+        let mut options = Options::for_2d().trajectory_builder.trajectory_builder_2d;
+        options.use_online_correlative_scan_matching = true;
+        options.use_imu_data = false;
+        options.max_range = 50.0;
+        let extras = LocalSlamExtras { adaptive_search: true, ..LocalSlamExtras::default() };
+        let scanner = SensorId::new(SensorKind::Range, "scanner");
+        let mut slam = LocalSlam2d::new(&options, std::slice::from_ref(&scanner), extras).unwrap();
+        let mut found = Vec::new();
+        for i in 0..21 {
+            let seconds = 0.1 * f64::from(i);
+            let time = Time::from_ticks(0) + Duration::from_seconds(seconds);
+            found.extend(slam.add_range_data(&scanner, scan(time, speed * seconds)));
+        }
+        found.extend(slam.flush());
+        let at = |i: usize| found[i].local_from_tracking.translation.vector;
+        ((at(found.len() - 1) - at(0)).norm(), found.len())
+    }
+
+    #[test]
+    fn a_vehicle_is_at_speed_and_a_robot_stands_or_goes() {
+        for speed in [0.0, 0.5, 2.0, 5.0, 12.0, 24.0] {
+            let (way, scans) = followed(speed);
+            assert!((way - 2.0 * speed).abs() < 0.1 && scans == 21, "{speed} m/s: {way} m, {scans} scans");
+        }
+    }
+
+    #[test]
+    fn speeds_are_likely_as_far_as_anything_drives() {
+        let at = |speed: f64| Velocity { linear: Vector2::new(speed, 0.0), angular: 0.0 }.log_prior();
+        assert!(at(0.0) > at(0.5) && at(0.5) > at(1.5) && at(1.5) > at(3.0));
+        assert!((at(5.0) - at(25.0)).abs() < 1e-6);
+    }
 }

@@ -173,8 +173,8 @@ impl Tracker {
     }
 
     /// Where the scan fits best within a window. Nothing is learned from it, and nothing remembered.
-    pub fn search_freely(&self, scan: &Scan, around: Rigid2, window: SearchWindow) -> Rigid2 {
-        self.matcher.match_anywhere(scan.submap, around, [scan.cloud, scan.returns], window).pose
+    pub fn search_freely(&self, scan: &Scan, around: Rigid2, window: SearchWindow) -> ScanMatch2d {
+        self.matcher.match_anywhere(scan.submap, around, [scan.cloud, scan.returns], window)
     }
 
     /// Another scan is to be found than that which was looked for.
