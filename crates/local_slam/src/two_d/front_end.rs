@@ -66,6 +66,7 @@ pub(super) struct FrontEnd {
     start_velocity: Velocity,
     /// A piece of map was begun that nothing measured ties to the one before.
     has_begun_anew: bool,
+    /// What it does besides mapping.
     pub(super) role: Role,
     issues: IssueLog,
 }
