@@ -76,12 +76,13 @@ impl LocalSlam2d {
         if velocity != Velocity::default() {
             self.front_end.set_velocity(velocity);
         }
-        let mut results = Vec::new();
-        for measurement in held {
-            results.extend(measurement.given_to(&mut self.front_end));
-        }
+        let results = self.hand_on(held);
         self.watch();
         results
+    }
+
+    fn hand_on(&mut self, held: Vec<Held>) -> Vec<MatchingResult<Planar>> {
+        held.into_iter().flat_map(|measurement| measurement.given_to(&mut self.front_end)).collect()
     }
 
     /// Measurements are held back again where a piece of map was begun and nothing tells how the scanner moves.
@@ -120,9 +121,8 @@ impl LocalSlam<Planar> for LocalSlam2d {
     }
 
     fn add_odometry_data(&mut self, data: &OdometryData) -> Vec<MatchingResult<Planar>> {
-        let mut results = self.start.close().map_or_else(Vec::new, |held| {
-            held.into_iter().flat_map(|measurement| measurement.given_to(&mut self.front_end)).collect()
-        });
+        let held = self.start.close().unwrap_or_default();
+        let mut results = self.hand_on(held);
         results.extend(self.front_end.add_odometry(data));
         results
     }

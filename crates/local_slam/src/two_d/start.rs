@@ -43,7 +43,9 @@ const GIVEN_UP: f64 = 50.0;
 const ALIKE: f64 = 0.15;
 /// How well a scan tells a motion: metres and radians.
 const MATCHED: PredictionSigmas = PredictionSigmas { translation: 0.05, rotation: 0.02 };
-/// One recording in so many begins at speed, at any up to [`FASTEST`]; in others the speed has this standard deviation, m/s.
+/// This share of recordings begins at speed, any up to [`FASTEST`] being as likely; in the others the velocity has this standard
+/// deviation along each axis, m/s. Slices of real drives and logs of buildings are far from the border between both
+/// (docs/experiments/2026-11-planar-starts.md).
 const AT_SPEED: f64 = 0.1;
 const SLOW: f64 = 0.5;
 

@@ -9,7 +9,7 @@ use super::*;
 /// A byte stands for this many codes of a cell (a little more than 32767/255).
 const CODES_PER_BYTE: f32 = 128.5;
 
-/// So many shifts are scored in the time of one look-up in the pyramid.
+/// About so many shifts are scored in the time of one look-up in the pyramid.
 const SHIFTS_A_LOOKUP: u32 = 4;
 
 /// The first placement with the largest score.
