@@ -236,10 +236,10 @@ fn mapping_heeds_an_interruption_in_every_phase() {
     if is_fast() {
         return;
     }
-    let long = ["corridors", "--seconds", "600", "--seed", "5", "--beams", "180"];
+    let long = ["corridors", "--seconds", "300", "--seed", "5", "--beams", "180"];
     let files = ["trajectory.tum", "map.pbstream", "map.png", "map.pgm"];
     interrupt_everywhere(&PORTOLAN.simulated("bag", &long), &[], &files);
-    let space = ["garage", "--seconds", "20", "--seed", "5", "--beams", "300"];
+    let space = ["garage", "--seconds", "12", "--seed", "5", "--beams", "300"];
     let files = ["map.pbstream", "map.png", "map_xray_top.png", "report.json"];
     interrupt_everywhere(&PORTOLAN.simulated("bag", &space), &["--cloud", "cloud.laz"], &files);
 }

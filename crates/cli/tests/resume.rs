@@ -59,7 +59,7 @@ fn with_journal(bytes: &[u8]) -> tempfile::TempDir {
 }
 
 fn corridors(seed: &str) -> String {
-    simulated_once(&["corridors", "--seconds", "240", "--seed", seed]).0
+    simulated_once(&["corridors", "--seconds", "150", "--seed", seed]).0
 }
 
 #[test]
@@ -80,7 +80,7 @@ fn a_map_that_is_resumed_is_the_same_however_damaged_the_journal_is() {
 
 #[test]
 fn a_map_in_space_that_is_resumed_is_the_same() {
-    let (recording, _) = simulated_once(&["garage", "--seconds", "40", "--seed", "5", "--beams", "600"]);
+    let (recording, _) = simulated_once(&["garage", "--seconds", "25", "--seed", "5", "--beams", "450"]);
     for more in [&["--no-xray", "--threads", "2"][..], &["--no-xray", "--threads", "1", "--no-imu"]] {
         let (folder, _) = cut_off(&recording, more);
         let (same, said) = resumed(&recording, folder.path(), more);

@@ -55,14 +55,24 @@ impl LikelihoodField {
         f64::from(self.byte(point)) / 255.0
     }
 
+    #[inline]
     fn byte(&self, point: &Vector2) -> u8 {
         let index = self.limits.flat_index(self.limits.cell_index(point.cast::<f32>()));
         index.and_then(|i| self.bytes.get(i)).copied().unwrap_or(0)
     }
 
-    /// Sum of bytes that a scan meets at a pose.
-    fn sum(&self, turned: &[Vector2], at: &Vector2) -> u64 {
-        turned.iter().map(|p| u64::from(self.byte(&(p + at)))).sum()
+    /// For each point moved by `at` two numbers whose sum is the position of its cell in the list of cells: where the row of the
+    /// grid begins, which follows from x alone, and the place in that row, from y alone. Outside of the grid the sum is beyond
+    /// the list.
+    fn positions(&self, points: &[Vector2], at: &Vector2) -> (Vec<usize>, Vec<usize>) {
+        let [columns, rows] = [self.limits.num_x_cells(), self.limits.num_y_cells()].map(|n| n as usize);
+        let within = |i: i32, count: usize| usize::try_from(i).ok().filter(|i| *i < count);
+        let cells = points.iter().map(|p| self.limits.cell_index((p + at).cast::<f32>()));
+        let position = |cell: CellIndex| {
+            let row = within(cell.y, rows).map_or(self.bytes.len(), |row| row * columns);
+            (row, within(cell.x, columns).unwrap_or(self.bytes.len()))
+        };
+        cells.map(position).unzip()
     }
 
     /// The placement of a scan in a window around a guess that is nearest to what is solid.
@@ -80,14 +90,22 @@ impl LikelihoodField {
             let angle = guess.angle + f64::from(turn) * radians;
             let matrix = Rigid2::new(0.0, 0.0, angle).rotation_matrix();
             let turned: Vec<Vector2> = points.iter().map(|p| matrix * p).collect();
-            for (x, y) in (-shifts..=shifts).flat_map(|x| (-shifts..=shifts).map(move |y| (x, y))) {
-                let at = guess.translation + metres * Vector2::new(f64::from(x), f64::from(y));
-                let mean = self.sum(&turned, &at) as f64 / (255.0 * points.len().max(1) as f64);
+            let shift = |x: i32, y: i32| metres * Vector2::new(f64::from(x), f64::from(y));
+            // A shift along x moves points to other rows, and one along y within their rows.
+            let (of_rows, in_rows): (Vec<_>, Vec<_>) = (-shifts..=shifts)
+                .map(|i| self.positions(&turned, &(guess.translation + shift(i, i))))
+                .unzip();
+            let pairs =
+                (-shifts..).zip(&of_rows).flat_map(|x| (-shifts..).zip(&in_rows).map(move |y| (x, y)));
+            for ((x, of_row), (y, in_row)) in pairs {
+                let bytes = of_row.iter().zip(in_row).filter_map(|(row, place)| self.bytes.get(row + place));
+                let sum: u64 = bytes.map(|byte| u64::from(*byte)).sum();
+                let mean = sum as f64 / (255.0 * points.len().max(1) as f64);
                 let part = |i: i32, most: i32| f64::from(i) / f64::from(most.max(1));
                 let off = part(x, shifts).powi(2) + part(y, shifts).powi(2) + part(turn, turns).powi(2);
                 let score = mean - PREFERENCE * off;
                 if score > best.0 {
-                    best = (score, Rigid2 { translation: at, angle });
+                    best = (score, Rigid2 { translation: guess.translation + shift(x, y), angle });
                 }
             }
         }

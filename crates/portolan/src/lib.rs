@@ -2,7 +2,6 @@
 
 pub mod assets;
 pub mod automatic;
-pub mod clocks;
 pub mod job;
 mod losses;
 pub mod pipeline;
@@ -10,13 +9,13 @@ mod requested;
 mod silence;
 mod soundness;
 pub mod trajectory_file;
-pub mod unwind;
 
 pub use automatic::{Lidar, Sensors, settings_for};
 pub use requested::{LIFELONG, RequestedOptions};
 
 pub use portolan_atomic_file as atomic_file;
 pub use portolan_bunzip2 as bunzip2;
+pub use portolan_clocks as clocks;
 pub use portolan_config as config;
 pub use portolan_diagnose as diagnose;
 pub use portolan_evaluation as evaluation;
@@ -40,6 +39,7 @@ pub use portolan_pointcloud as pointcloud;
 pub use portolan_recording as recording;
 pub use portolan_refinement as refinement;
 pub use portolan_registration as registration;
+pub use portolan_reprojection as reprojection;
 pub use portolan_ros_messages as ros_messages;
 pub use portolan_sensor as sensor;
 pub use portolan_simulator as simulator;

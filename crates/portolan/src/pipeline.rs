@@ -17,12 +17,12 @@ use portolan_mapping::{
 use portolan_numeric::LatencyHistogram;
 use portolan_recall::Memory;
 use portolan_recording::{Recording, RecordingError};
+use portolan_reprojection::KeptScans;
 use portolan_sensor::SensorId;
 
+use crate::automatic;
 use crate::silence::Silences;
 use crate::soundness::sound_poses;
-use crate::unwind::KeptScans;
-use crate::{automatic, clocks};
 
 /// Why a recording could not be mapped.
 #[derive(Debug, thiserror::Error)]
@@ -36,9 +36,6 @@ pub enum PipelineError {
     /// Mapping.
     #[error(transparent)]
     Mapper(#[from] MapperError),
-    /// The map as a cloud.
-    #[error(transparent)]
-    Cloud(#[from] portolan_pointcloud::CloudError),
     /// A setting that was to be changed.
     #[error("{0}")]
     Setting(String),
@@ -236,7 +233,7 @@ fn doubt_imu(
     if is_wanted && !ingest.time_offsets.is_empty() {
         return Ok(plan);
     }
-    let compared = clocks::measure(recording, inventory, ingest, &mut |_| {});
+    let compared = portolan_clocks::measure(recording, inventory, ingest, &mut |_| {});
     if let Some(mounting) = compared.mounting {
         if !is_wanted {
             let tracking_frame = Some(plan.tracking_frame.to_string());
@@ -245,7 +242,7 @@ fn doubt_imu(
         }
         plan.doubt_imu(&imu, &mounting.to_string(), is_wanted);
     } else if let Some(offset) =
-        clocks::common_offset(&compared.offsets).filter(|_| ingest.time_offsets.is_empty())
+        portolan_clocks::common_offset(&compared.offsets).filter(|_| ingest.time_offsets.is_empty())
     {
         plan.delay_imu(offset.seconds, offset.sigma);
     }
@@ -318,7 +315,10 @@ pub fn map_recording<S: Space>(
     let mut kept_scans = keep_scans_in.as_deref().map_or_else(KeptScans::default, KeptScans::in_folder);
     let (mut scans, mut interrupted) = (0, false);
     let mut take = |matched: Vec<MatchingResult<S>>| {
-        matched.iter().for_each(|scan| kept_scans.keep(scan));
+        let mut keep = |scan: &MatchingResult<S>| {
+            kept_scans.keep(scan.time, &scan.local_from_tracking, &scan.measured);
+        };
+        matched.iter().for_each(&mut keep);
         scans += matched.len() as u64;
     };
     let mut span: Option<(Time, Time)> = None;

@@ -155,6 +155,6 @@ fn a_failing_disk_leaves_whole_files_or_none() {
     if is_fast() {
         return;
     }
-    let content = Content::new(3.0);
+    let content = Content::new(1.5);
     assert!(fail_everywhere(|folder| content.whole_map(folder), &[Fault::Full, Fault::BrokenOnce]) >= 20);
 }

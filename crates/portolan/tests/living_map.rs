@@ -110,10 +110,10 @@ fn a_recording_becomes_a_trajectory_of_the_map_it_was_localised_in() {
 fn moved_furniture_is_moved_in_the_map() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("updated.pbstream");
-    let found = find(&drive(2, 1, 180.0), &known().map(), Some((&path, Growth::Renew)), 1);
+    let found = find(&drive(2, 1, 120.0), &known().map(), Some((&path, Growth::Renew)), 1);
     let renewal = grown(&found).renewal.unwrap();
     assert!(renewal.appeared > 0.3 && renewal.gone > 0.3, "{renewal:?}");
-    let next_day = drive(3, 1, 120.0);
+    let next_day = drive(3, 1, 90.0);
     let [in_old, in_new] = [known().map(), path].map(|map| find(&next_day, &map, None, 1));
     for kind in [ChangeKind::Appeared, ChangeKind::Gone] {
         let [old, new] = [&in_old, &in_new].map(|found| changed(found, kind));
@@ -146,7 +146,7 @@ fn ten_updates_do_not_let_a_map_grow() {
     let mut sizes = Vec::new();
     let mut error = 0.0;
     for update in 0..10 {
-        let today = drive(2 + update % 5, update as usize % 3, 60.0);
+        let today = drive(2 + update % 5, update as usize % 3, 30.0);
         let found = find(&today, &path, Some((&path, Growth::Renew)), 1);
         error = known().error(&today, &found);
         let map = info(&mut MapReader::open(&path).unwrap()).unwrap();
@@ -174,7 +174,7 @@ fn a_map_of_another_building_is_not_touched() {
 #[test]
 fn maps_do_not_depend_on_the_number_of_threads() {
     let folder = tempfile::tempdir().unwrap();
-    let today = drive(2, 1, 40.0);
+    let today = drive(2, 1, 25.0);
     for growth in [Growth::Extend, Growth::Renew] {
         let files = [1, 2, 4].map(|threads| {
             let path = folder.path().join(format!("{threads}.pbstream"));

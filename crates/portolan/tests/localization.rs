@@ -117,7 +117,7 @@ fn a_landmark_of_the_map_is_a_start_like_any_other() {
 #[test]
 fn nothing_is_found_in_another_building() {
     for building in [2, 3, 4] {
-        let elsewhere = drive(building, 2, 60.0);
+        let elsewhere = drive(building, 2, 40.0);
         let found = find(&elsewhere, None);
         assert_eq!(found.found(), Found::Never, "building {building}: {:?}", found.state_counts());
         assert!(found.poses().is_empty());

@@ -5,20 +5,21 @@ use std::path::{Path, PathBuf};
 
 use portolan_atomic_file::ResultFolder;
 use portolan_geometry::{Dimension, Rigid3, Time};
-use portolan_ingest::IngestOptions;
+use portolan_ingest::{IngestOptions, Ingestion};
 use portolan_mapping::Space;
 use portolan_pointcloud::{
     Attributes, BATCH_POINTS, CloudError, CloudFormat, CloudWriter, PointCloud, VoxelThinner, WriteOptions,
     create,
 };
 use portolan_recording::Recording;
+use portolan_reprojection::{KeptScans, MapPoint, RangeLimits, Reprojected, Reprojector, SmoothMotion};
+use portolan_sensor::Measurement;
 
 use super::error::JobError;
 use super::event::{Event, Observer, Remark, remark};
 use super::output_folder::OutputFolder;
 use super::xray::{self, NotDrawn, Points};
 use crate::pipeline::{MappedRecording, PipelineError, Preparation};
-use crate::unwind::{KeptScans, MapPoint, SmoothMotion, UnwindOptions, Unwound, unwind};
 
 /// What each point has.
 const ATTRIBUTES: Attributes = Attributes { intensity: true, time: true, color: false };
@@ -94,7 +95,7 @@ pub struct CloudResults {
     /// For the report ([`add_to_report`](super::add_to_report), as `cloud`).
     pub report: serde_json::Value,
     /// If a cloud was written: how many points are in the file, and of how many.
-    pub cloud: Option<(u64, Unwound)>,
+    pub cloud: Option<(u64, Reprojected)>,
 }
 
 /// Takes the points of a sweep.
@@ -102,14 +103,14 @@ type Sink<'a> = dyn FnMut(&[MapPoint]) -> Result<(), CloudError> + 'a;
 
 impl CloudResults {
     /// Writes the cloud (its file and voxels) and draws the X-rays, as far as they are asked for, of all points that
-    /// `unwind` gives.
+    /// `reproject` gives.
     fn add_second_pass(
         &mut self,
         cloud: Option<(PathBuf, Option<f64>)>,
         to_draw: Option<&xray::Request>,
         folder: &OutputFolder,
         observe: &mut Observer,
-        unwind: &mut dyn FnMut(&mut Sink, &mut Observer) -> Result<Unwound, JobError>,
+        reproject: &mut dyn FnMut(&mut Sink, &mut Observer) -> Result<Reprojected, JobError>,
     ) -> Result<(), JobError> {
         let cloud_sink = cloud.as_ref().map(|(path, voxel)| CloudSink::create(path, *voxel));
         let mut cloud_sink = cloud_sink.transpose()?;
@@ -122,18 +123,18 @@ impl CloudResults {
             }
             cloud_sink.as_mut().map_or(Ok(()), |sink| sink.add(points))
         };
-        let unwound = unwind(&mut sink, observe)?;
-        if unwound.interrupted {
+        let reprojected = reproject(&mut sink, observe)?;
+        if reprojected.interrupted {
             remark(observe, Remark::StoppedSecondPass);
             return Ok(());
         }
-        self.report["unwound"] = serde_json::json!(unwound);
+        self.report["unwound"] = serde_json::json!(reprojected);
         if let Some((sink, (path, voxel))) = cloud_sink.zip(cloud) {
             if let Some(name) = path.strip_prefix(folder.path()).ok().and_then(Path::to_str) {
                 folder.file(name)?;
             }
             let points = sink.finish()?;
-            self.cloud = Some((points, unwound));
+            self.cloud = Some((points, reprojected));
             self.report["points_in_file"] = points.into();
             self.report["voxel_size"] = voxel.into();
             self.files.push(path);
@@ -246,11 +247,11 @@ pub fn write_clouds<S: Space>(
     }
     if cloud.is_some() || drawn.is_none() {
         let to_draw = view.as_ref().filter(|_| drawn.is_none());
-        let mut unwind = |sink: &mut Sink, observe: &mut Observer| {
-            unwind_all(recording, ingest, preparation, &poses, sink, observe)
+        let mut reproject = |sink: &mut Sink, observe: &mut Observer| {
+            reproject_all(recording, ingest, preparation, &poses, sink, observe)
         };
         let cloud = cloud.zip(Some(request.voxel_size_metres));
-        results.add_second_pass(cloud, to_draw, folder, observe, &mut unwind)?;
+        results.add_second_pass(cloud, to_draw, folder, observe, &mut reproject)?;
     }
     results.files.extend(drawn.into_iter().flatten());
     Ok(Some(results))
@@ -294,23 +295,54 @@ fn not_drawn(reason: NotDrawn, observe: &mut Observer) -> Result<Vec<PathBuf>, J
     }
 }
 
-fn unwind_all(
+/// Places all points of a recording that mapping takes by the poses of its trajectory. `sink` gets the points of each sweep
+/// in order of the recording.
+fn reproject_all(
     recording: &dyn Recording,
     ingest: &IngestOptions,
     preparation: &Preparation,
     poses: &[(Time, Rigid3)],
     sink: &mut Sink,
     observe: &mut Observer,
-) -> Result<Unwound, JobError> {
-    let options = UnwindOptions::as_mapped(preparation);
-    let mut progress = |position_bytes, total_bytes| {
-        observe(&Event::PlacingPoints { position_bytes, total_bytes }).is_continue()
-    };
-    let unwound = unwind(recording, ingest, preparation, poses.to_vec(), options, &mut progress, sink);
+) -> Result<Reprojected, JobError> {
+    let motion = SmoothMotion::new(poses.to_vec());
+    let mut reprojector = Reprojector::new(&motion, limits_of_mapping(preparation));
+    let mut ingestion = range_sensors(recording, ingest, preparation)?;
+    let mut interrupted = false;
+    while let Some((_, measurement)) = ingestion.next_measurement().map_err(PipelineError::from)? {
+        let Measurement::Range(sweep) = measurement else { continue };
+        sink(reprojector.place(&sweep))?;
+        let (position_bytes, total_bytes) = ingestion.progress();
+        interrupted = observe(&Event::PlacingPoints { position_bytes, total_bytes }).is_break();
+        if interrupted {
+            break;
+        }
+    }
     // Nothing is left to stop.
     let _ = observe(&Event::PointsPlaced);
-    unwound.map_err(|error| match error {
-        PipelineError::Cloud(error) => error.into(),
-        other => other.into(),
-    })
+    Ok(Reprojected { interrupted, ..reprojector.reprojected() })
+}
+
+/// The range that mapping takes.
+fn limits_of_mapping(preparation: &Preparation) -> RangeLimits {
+    let builder = &preparation.options.trajectory_builder;
+    let (two, three) = (&builder.trajectory_builder_2d, &builder.trajectory_builder_3d);
+    match preparation.dimension {
+        Dimension::Two => RangeLimits { min_range: two.min_range, max_range: two.max_range },
+        Dimension::Three => RangeLimits { min_range: three.min_range, max_range: three.max_range },
+    }
+}
+
+/// Reads what mapping read, but of the range sensors only.
+fn range_sensors(
+    recording: &dyn Recording,
+    ingest: &IngestOptions,
+    preparation: &Preparation,
+) -> Result<Ingestion, PipelineError> {
+    let mut plan = preparation.plan.clone();
+    (plan.imu, plan.odometry) = (None, None);
+    (plan.nav_sat, plan.fixed_frame_pose, plan.landmarks) = (None, None, None);
+    let ingest =
+        IngestOptions { with_intensities: true, num_subdivisions_per_laser_scan: 1, ..ingest.clone() };
+    Ok(Ingestion::with_plan(recording, preparation.inventory(), plan, &ingest)?)
 }

@@ -6,12 +6,12 @@ use portolan_export::{CloudSample, Extent, TrajectoryLine, XrayPicture, XrayView
 use portolan_geometry::{Rigid3, Time};
 use portolan_ingest::SensorPlan;
 use portolan_pointcloud::{CloudError, OccupiedVoxels, ThinnedCloud};
+use portolan_reprojection::{KeptScans, SmoothMotion};
 
 use super::error::JobError;
 use super::event::{Event, Observer};
 use super::output_folder::OutputFolder;
 use crate::pipeline::Preparation;
-use crate::unwind::{KeptScans, SmoothMotion};
 
 /// Voxels are so large that the longest edge has about this many of them …
 const VOXELS_ALONG: f64 = 1500.0;
@@ -68,12 +68,12 @@ impl Points<'_> {
     ) -> Result<(), NotDrawn> {
         match self {
             Self::Kept(scans, motion) => {
-                let unwound = scans.unwind(motion, every, &mut |points| {
+                let reprojected = scans.reproject(motion, every, &mut |points| {
                     points.iter().for_each(|p| visit(p.position, p.time));
                     observe(&Event::Drawing).is_continue()
                 });
-                let unwound = unwound.map_err(NotDrawn::Kept)?;
-                if unwound.interrupted { Err(NotDrawn::Interrupted) } else { Ok(()) }
+                let reprojected = reprojected.map_err(NotDrawn::Kept)?;
+                if reprojected.interrupted { Err(NotDrawn::Interrupted) } else { Ok(()) }
             }
             Self::Thinned(cloud) => Ok(cloud.for_each(&mut |voxel| {
                 visit(voxel.position, voxel.time);

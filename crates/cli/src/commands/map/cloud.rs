@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use portolan::job::CloudRequest;
-use portolan::unwind::Unwound;
+use portolan::reprojection::Reprojected;
 
 use crate::output::counted;
 
@@ -36,11 +36,11 @@ impl CloudArgs {
 }
 
 /// How many points are in the cloud, and which were left out.
-pub fn summary(points: u64, unwound: &Unwound) -> String {
-    let mut text = format!("cloud: {} of {}", counted(points, "point", "points"), unwound.points);
+pub fn summary(points: u64, reprojected: &Reprojected) -> String {
+    let mut text = format!("cloud: {} of {}", counted(points, "point", "points"), reprojected.points);
     let left_out = [
-        (unwound.outside_range, "nearer or farther than mapping takes them"),
-        (unwound.outside_trajectory, "at times without a pose"),
+        (reprojected.outside_range, "nearer or farther than mapping takes them"),
+        (reprojected.outside_trajectory, "at times without a pose"),
     ];
     for (count, why) in left_out.iter().filter(|(count, _)| *count > 0) {
         text += &format!("; {count} left out, {why}");

@@ -92,7 +92,7 @@ impl Watch<'_> {
 
 /// Names what the second pass gave.
 fn name_clouds(clouds: &CloudResults) {
-    let text = clouds.cloud.as_ref().map(|(points, unwound)| cloud::summary(*points, unwound));
+    let text = clouds.cloud.as_ref().map(|(points, of)| cloud::summary(*points, of));
     let files = clouds.files.iter().map(|file| file.display().to_string());
     let lines: Vec<String> = text.into_iter().chain(files).filter(|line| !line.is_empty()).collect();
     if !lines.is_empty() {

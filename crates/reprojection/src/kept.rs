@@ -1,18 +1,19 @@
 //! Scans kept from mapping, so that pictures need no second reading of the recording.
 //!
 //! What is kept of a scan is what local SLAM took of it: thinned, but as it was measured, so that the final
-//! trajectory unwinds it. It waits on disk, in a file without a name that is gone when nobody holds it, whatever
+//! trajectory de-skews it. It waits on disk, in a file without a name that is gone when nobody holds it, whatever
 //! happens. Memory is that of one buffer, however long the recording is.
 
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Seek, Write};
 use std::path::Path;
 
-use portolan_geometry::{Point3f, Time};
-use portolan_mapping::{MatchingResult, MotionFilter, Space, SweepPoint};
+use portolan_geometry::{Point3f, Rigid3, Time};
+use portolan_lidar_odometry::SweepPoint;
+use portolan_motion::MotionFilter;
 use portolan_sensor::{TimedPoint, TimedPointCloudData};
 
-use super::{MapPoint, SmoothMotion, UnwindOptions, Unwinder, Unwound};
+use super::{MapPoint, RangeLimits, Reprojected, Reprojector, SmoothMotion};
 
 /// Bytes that are written or read at a time.
 const BUFFER: usize = 1 << 17;
@@ -32,7 +33,7 @@ const FIRST_SCANS: u64 = (FIRST_POINTS / MOST_POINTS) as u64;
 /// After those a scan shows new places if it is so far from the last one that was kept: seconds, metres, radians.
 const FAR: (f64, f64, f64) = (0.5, 0.02, 0.005);
 /// Local SLAM left out what is out of range.
-const ALL: UnwindOptions = UnwindOptions { min_range: 0.0, max_range: f32::INFINITY };
+const ALL: RangeLimits = RangeLimits { min_range: 0.0, max_range: f32::INFINITY };
 
 /// What local SLAM took of the scans of a recording, on disk.
 #[derive(Debug, Default)]
@@ -55,12 +56,12 @@ impl KeptScans {
         }
     }
 
-    /// Keeps a scan that shows new places. When the disk is full everything is forgotten, and
-    /// [`KeptScans::failure`] says so.
-    pub fn keep<S: Space>(&mut self, scan: &MatchingResult<S>) {
-        let is_similar = |last: &mut MotionFilter| last.is_similar(scan.time, &scan.local_from_tracking);
+    /// Keeps a scan that shows new places: its points in the tracking frame, and where that was. When the disk is full
+    /// everything is forgotten, and [`KeptScans::failure`] says so.
+    pub fn keep(&mut self, time: Time, local_from_tracking: &Rigid3, points: &[SweepPoint]) {
+        let is_similar = |last: &mut MotionFilter| last.is_similar(time, local_from_tracking);
         if !self.last.as_mut().is_none_or(is_similar) || self.scans < FIRST_SCANS {
-            self.keep_points(scan.time, &scan.measured);
+            self.keep_points(time, points);
         }
     }
 
@@ -131,16 +132,16 @@ impl KeptScans {
     ///
     /// # Errors
     /// The file cannot be read, or nothing was kept.
-    pub fn unwind(
+    pub fn reproject(
         &self,
         motion: &SmoothMotion,
         every: usize,
         visit: &mut dyn FnMut(&[MapPoint]) -> bool,
-    ) -> io::Result<Unwound> {
+    ) -> io::Result<Reprojected> {
         let missing = || io::Error::new(io::ErrorKind::NotFound, "no scans were kept");
         let mut reader = BufReader::with_capacity(BUFFER, self.file.as_ref().ok_or_else(missing)?.get_ref());
         reader.rewind()?;
-        let mut unwinder = Unwinder::new(motion, ALL);
+        let mut reprojector = Reprojector::new(motion, ALL);
         let mut bytes = Vec::new();
         let mut scan = TimedPointCloudData {
             time: Time::MIN,
@@ -150,12 +151,11 @@ impl KeptScans {
         };
         for _ in 0..self.scans {
             read_scan(&mut reader, every, &mut bytes, &mut scan)?;
-            if !visit(unwinder.place(&scan)) {
-                unwinder.unwound.interrupted = true;
-                break;
+            if !visit(reprojector.place(&scan)) {
+                return Ok(Reprojected { interrupted: true, ..reprojector.reprojected() });
             }
         }
-        Ok(unwinder.unwound)
+        Ok(reprojector.reprojected())
     }
 }
 
@@ -187,7 +187,7 @@ fn read_scan(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use portolan_geometry::{Duration, Rigid3, Vector3, nalgebra::Point3};
+    use portolan_geometry::{Duration, Vector3, nalgebra::Point3};
 
     fn at(scan: i64) -> Time {
         Time::from_ros(1_700_000_000, 0) + Duration::from_seconds(0.1 * scan as f64)
@@ -226,7 +226,7 @@ mod tests {
         let motion = SmoothMotion::new((1..40).map(|scan| (at(scan), pose(scan as f64))).collect());
         for _ in 0..2 {
             let mut scans = 0..;
-            let unwound = kept.unwind(&motion, 1, &mut |placed| {
+            let reprojected = kept.reproject(&motion, 1, &mut |placed| {
                 let scan: i64 = scans.next().unwrap();
                 let expected = points(scan);
                 for (placed, point) in placed.iter().zip(expected).filter(|_| scan > 1) {
@@ -238,10 +238,11 @@ mod tests {
                 scan < 2 || placed.len() == 200 || scan == 40
             });
             // Before the second scan ends nothing is known of the motion.
-            let expected = Unwound { points: 38 * 200 + 1, outside_trajectory: 399, ..Unwound::default() };
-            assert_eq!(unwound.unwrap(), expected);
+            let expected =
+                Reprojected { points: 38 * 200 + 1, outside_trajectory: 399, ..Reprojected::default() };
+            assert_eq!(reprojected.unwrap(), expected);
         }
-        let stopped = kept.unwind(&motion, 1, &mut |_| false).unwrap();
+        let stopped = kept.reproject(&motion, 1, &mut |_| false).unwrap();
         assert!(stopped.interrupted && stopped.points == 0);
     }
 
@@ -260,11 +261,11 @@ mod tests {
         kept.finish();
         let motion = SmoothMotion::new(vec![(at(0), Rigid3::identity())]);
         let mut widest = 0.0_f64;
-        let unwound = kept.unwind(&motion, 1, &mut |placed| {
+        let reprojected = kept.reproject(&motion, 1, &mut |placed| {
             widest = placed.windows(2).map(|w| w[1].position[0] - w[0].position[0]).fold(0.0, f64::max);
             true
         });
-        assert_eq!(unwound.unwrap().points, MOST_POINTS as u64);
+        assert_eq!(reprojected.unwrap().points, MOST_POINTS as u64);
         assert!(widest < 0.03, "{widest}");
     }
 
@@ -275,7 +276,7 @@ mod tests {
         kept.keep_points(at(0), &points(0));
         kept.finish();
         assert!(kept.failure().is_some() && !kept.is_complete());
-        assert!(kept.unwind(&motion, 1, &mut |_| true).is_err());
+        assert!(kept.reproject(&motion, 1, &mut |_| true).is_err());
         assert!(KeptScans::default().failure().is_none() && !KeptScans::default().is_complete());
         let Ok(full) = File::options().write(true).open("/dev/full") else { return };
         let mut kept = KeptScans { file: Some(BufWriter::new(full)), ..KeptScans::default() };

@@ -1,10 +1,4 @@
-//! Offsets between the clocks of lidars and IMU, and whether the IMU is mounted as it is said to be, from turns that both tell.
-//!
-//! A range profile tells turns in rooms, and about one axis. Here sweeps are matched to the surfaces that the last
-//! seconds showed, as local SLAM does it, which tells turns about all axes to a hundredth of a degree: every step
-//! of somebody who walks, and every bump in the way of wheels, is a signal of 1 to 3 Hz for the comparison with the
-//! gyroscope. Where the clocks are apart, sweeps are straightened with turns of the wrong time, so that a twentieth
-//! of the offset may be missed: enough to name it.
+#![doc = include_str!("../README.md")]
 
 mod gyroscope;
 mod lag;

@@ -6,7 +6,7 @@ use portolan_sensor::{TimedPoint, TimedPointCloudData};
 
 use super::*;
 
-const ALL: UnwindOptions = UnwindOptions { min_range: 0.5, max_range: 50.0 };
+const ALL: RangeLimits = RangeLimits { min_range: 0.5, max_range: 50.0 };
 
 fn at(seconds: f64) -> Time {
     Time::from_ros(1_700_000_000, 0) + Duration::from_seconds(seconds)
@@ -47,10 +47,10 @@ fn distances(points: &[MapPoint], seen: na::Point3<f64>) -> f64 {
 fn a_place_seen_while_walking_is_one_place() {
     let seen = na::Point3::new(3.0, 8.0, 1.0);
     let motion = SmoothMotion::new(poses(0..0));
-    let mut unwinder = Unwinder::new(&motion, ALL);
+    let mut reprojector = Reprojector::new(&motion, ALL);
     let mut largest = 0.0_f64;
     for end in [2.0, 4.03, 6.05, 9.9] {
-        let points = unwinder.place(&sweep(end, seen)).to_vec();
+        let points = reprojector.place(&sweep(end, seen)).to_vec();
         assert_eq!(points.len(), 101);
         assert_eq!((points[7].intensity, points[100].time), (7.0, at(end).unix_seconds()));
         largest = largest.max(distances(&points, seen));
@@ -63,28 +63,28 @@ fn a_place_seen_while_walking_is_one_place() {
 fn points_without_a_pose_are_left_out_and_counted() {
     let seen = na::Point3::new(3.0, 8.0, 1.0);
     let motion = SmoothMotion::new(poses(40..60));
-    let mut unwinder = Unwinder::new(&motion, ALL);
+    let mut reprojector = Reprojector::new(&motion, ALL);
     for (end, kept) in
         [(0.05, 51), (3.9, 101), (3.95, 51), (5.0, 0), (6.0, 1), (6.1, 101), (9.95, 51), (20.0, 0)]
     {
-        assert_eq!(unwinder.place(&sweep(end, seen)).len(), kept, "{end}");
+        assert_eq!(reprojector.place(&sweep(end, seen)).len(), kept, "{end}");
     }
     let near = na::Point3::from(walk(1.0).translation.vector);
-    assert_eq!(unwinder.place(&sweep(1.0, near)).len(), 0);
-    let Unwound { points, outside_trajectory, outside_range, .. } = unwinder.unwound;
+    assert_eq!(reprojector.place(&sweep(1.0, near)).len(), 0);
+    let Reprojected { points, outside_trajectory, outside_range, .. } = reprojector.reprojected();
     assert_eq!((points, outside_range), (356, 101));
     assert_eq!(points + outside_range + outside_trajectory, 9 * 101);
 }
 
 #[test]
-fn sweeps_of_any_length_are_unwound() {
+fn sweeps_of_any_length_are_placed() {
     let motion = SmoothMotion::new(poses(0..0));
     let mut long = sweep(9.0, na::Point3::new(3.0, 8.0, 1.0));
     long.points_in_tracking[0].time = -1e9;
     long.points_in_tracking[1].time = f32::MIN;
-    let mut unwinder = Unwinder::new(&motion, ALL);
-    assert_eq!(unwinder.place(&long).len(), 99);
+    let mut reprojector = Reprojector::new(&motion, ALL);
+    assert_eq!(reprojector.place(&long).len(), 99);
     long.points_in_tracking.clear();
-    assert_eq!(unwinder.place(&long).len(), 0);
-    assert_eq!(Unwinder::new(&SmoothMotion::new(Vec::new()), ALL).place(&long).len(), 0);
+    assert_eq!(reprojector.place(&long).len(), 0);
+    assert_eq!(Reprojector::new(&SmoothMotion::new(Vec::new()), ALL).place(&long).len(), 0);
 }

@@ -126,7 +126,7 @@ pub(super) struct SweepMotion {
 
 /// Seconds between matrices: a turn of 5 rad/s is off by less than 0.01 %.
 const STEP: f64 = 0.005;
-/// Longer sweeps are unwound pose by pose, seconds.
+/// Longer sweeps are placed pose by pose, seconds.
 pub(super) const LONGEST_SWEEP: f64 = 20.0;
 
 impl SweepMotion {
