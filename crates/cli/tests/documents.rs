@@ -141,6 +141,24 @@ fn the_page_of_verbs_is_current() {
     assert!(sections > 20, "{sections}");
 }
 
+/// Examples are tests of documentation: of their own crate, or all together of `portolan`.
+#[test]
+fn examples_in_the_readmes_of_crates_are_compiled() {
+    let crates = repository().join("crates");
+    let together = std::fs::read_to_string(crates.join("portolan/src/readmes.rs")).unwrap();
+    let mut count = 0;
+    for entry in std::fs::read_dir(&crates).unwrap() {
+        let folder = entry.unwrap().path();
+        let read = |name: &str| std::fs::read_to_string(folder.join(name)).unwrap_or_default();
+        let name = folder.file_name().unwrap().to_string_lossy();
+        if read("README.md").contains("\n```rust\n") && read("Cargo.toml").contains("doctest = false") {
+            assert!(together.contains(&format!("\"../../{name}/README.md\"")), "{name} is not in readmes.rs");
+            count += 1;
+        }
+    }
+    assert!(count > 30, "{count}");
+}
+
 /// Rows of all tables, without their heads.
 fn table_rows(text: &str) -> Vec<&str> {
     let lines: Vec<&str> = text.lines().collect();

@@ -45,7 +45,7 @@ impl Place {
     /// One storey of a museum.
     fn museum() -> Self {
         let building = ["--no-gnss", "--size", "24x20", "--storeys", "1", "--people", "2", "--beams", "300"];
-        let (recording, _) = simulated_once(&[&["museum", "--seconds", "14"], &building[..]].concat());
+        let (recording, _) = simulated_once(&[&["museum", "--seconds", "18"], &building[..]].concat());
         Self::new(recording, [FAR[0], FAR[1], HIGHER], &["--no-xray"])
     }
 

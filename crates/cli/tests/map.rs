@@ -55,6 +55,8 @@ fn everything_that_is_promised_is_written() {
         assert!(output.join(name).metadata().unwrap().len() > 0, "{name}");
         assert!(run.stdout.contains(name), "{name} is not named in {}", run.stdout);
     }
+    let written = std::fs::read_to_string(output.join("report.json")).unwrap();
+    assert!(!written.contains(": -0.0,"), "{written}");
     let report = report(&output);
     let info = portolan_with_code(0, &["info", &text(&output.join("map.pbstream"))]).stdout;
     let engine = report["engine"].as_str().unwrap();

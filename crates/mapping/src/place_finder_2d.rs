@@ -43,11 +43,12 @@ impl PlanarPlaces {
 }
 
 impl PlaceFinder for PlanarPlaces {
-    fn find(&self, scans: &[(Rigid3, &NodeData)]) -> ProposedPlaces {
+    fn find(&self, scans: &[(Rigid3, &NodeData)], most_lookups: u64) -> ProposedPlaces {
         let clouds = scans.iter().map(|(first_from_scan, node)| {
             (project_2d(first_from_scan), &node.filtered_gravity_aligned_point_cloud)
         });
-        let found = self.index.find(&joint_cloud_2d(clouds, CELL), &WANTED);
+        let wanted = WantedPlaces { lookups: WANTED.lookups.min(most_lookups), ..WANTED };
+        let found = self.index.find(&joint_cloud_2d(clouds, CELL), &wanted);
         let poses = found.places.iter().map(|place| self.frame.in_map(&embed_3d(&place.pose))).collect();
         ProposedPlaces { poses, lookups: found.lookups }
     }
@@ -70,7 +71,7 @@ mod tests {
         let places = PlanarPlaces::new(&placed).unwrap();
         let (here, there) = (node(small, (0.5, -0.8)), node(small, (-1.0, 0.2)));
         let step = Rigid3::translation(-1.5, 1.0, 0.0);
-        let found = places.find(&[(Rigid3::identity(), &here), (step, &there)]).poses;
+        let found = places.find(&[(Rigid3::identity(), &here), (step, &there)], u64::MAX).poses;
         let truth = pose * Rigid3::translation(0.5, -0.8, 0.0);
         let off = truth.inverse() * found[0];
         assert!(off.translation.vector.norm() < 0.3 && off.rotation.angle() < 0.06, "{off:?}");
@@ -86,7 +87,7 @@ mod tests {
             let poses =
                 [Rigid3::translation(-20.0, 0.0, 0.0), Rigid3::new(Vector3::x() * 30.0, Vector3::z())];
             let placed: Vec<_> = poses.iter().map(|pose| moved(pose, &origin)).zip(&submaps).collect();
-            let found = PlanarPlaces::new(&placed).unwrap().find(&[(Rigid3::identity(), &here)]);
+            let found = PlanarPlaces::new(&placed).unwrap().find(&[(Rigid3::identity(), &here)], u64::MAX);
             found.poses.iter().map(|pose| moved(pose, &-origin)).collect::<Vec<_>>()
         };
         let (near, far) = (found(Vector3::zeros()), found(Vector3::new(499_712.0, 5_400_576.0, 0.0)));
@@ -103,7 +104,7 @@ mod tests {
         let poses = [Rigid3::identity(), Rigid3::translation(25.0, 3.0, 0.0)];
         let placed: Vec<_> = poses.into_iter().zip(&submaps).collect();
         let here = node(size, (1.0, 1.0));
-        let found = PlanarPlaces::new(&placed).unwrap().find(&[(Rigid3::identity(), &here)]).poses;
+        let found = PlanarPlaces::new(&placed).unwrap().find(&[(Rigid3::identity(), &here)], u64::MAX).poses;
         for pose in poses {
             let truth = pose * Rigid3::translation(1.0, 1.0, 0.0);
             let off = |place: &Rigid3| (place.translation.vector - truth.translation.vector).norm();

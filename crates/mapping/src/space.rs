@@ -62,8 +62,9 @@ pub enum Nearby {
 
 /// Finds scans anywhere in a map at once.
 pub trait PlaceFinder: Send + Sync {
-    /// Where the first of some scans may have been taken. Each scan comes with its pose in the frame of the first.
-    fn find(&self, scans: &[(Rigid3, &NodeData)]) -> ProposedPlaces;
+    /// Where the first of some scans may have been taken. Each scan comes with its pose in the frame of the first. The search
+    /// ends after so many look-ups of cells, with what it has found.
+    fn find(&self, scans: &[(Rigid3, &NodeData)], most_lookups: u64) -> ProposedPlaces;
 }
 
 /// Places that a scan may have been taken at.

@@ -5,6 +5,8 @@ pub mod automatic;
 pub mod job;
 mod losses;
 pub mod pipeline;
+#[cfg(doctest)]
+mod readmes;
 mod requested;
 mod silence;
 mod soundness;

@@ -28,11 +28,11 @@ fn find(today: &Simulation3d, map: &Path, update: Option<&Path>, threads: usize)
 fn cars_that_moved_are_moved_in_the_map() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("updated.pbstream");
-    let unchanged = find(&walk(1, 2, 15.0), &garage().map(), None, 2);
-    let second_day = find(&walk(2, 2, 25.0), &garage().map(), Some(&path), 2);
+    let unchanged = find(&walk(1, 2, 22.0), &garage().map(), None, 2);
+    let second_day = find(&walk(2, 2, 34.0), &garage().map(), Some(&path), 2);
     let renewal = grown(&second_day).renewal.unwrap();
     assert!(renewal.appeared > 1.0 && renewal.gone > 1.0, "{renewal:?}");
-    let third_day = walk(2, 3, 15.0);
+    let third_day = walk(2, 3, 22.0);
     let [in_old, in_new] = [garage().map(), path].map(|map| find(&third_day, &map, None, 2));
     for kind in [ChangeKind::Appeared, ChangeKind::Gone] {
         let [none, old, new] = [&unchanged, &in_old, &in_new].map(|found| changed(found, kind));
@@ -55,7 +55,7 @@ fn updates_do_not_let_a_map_of_space_grow() {
     let mut sizes = Vec::new();
     let mut error = 0.0;
     for update in 0..6 {
-        let today = walk(1 + update % 3, 2 + update % 2, 12.0);
+        let today = walk(1 + update % 3, 2 + update % 2, 18.0);
         let found = find(&today, &path, Some(&path), 2);
         error = garage().error(&today, &found);
         let graph = read_map::<Spatial>(&path, &MapLoadSettings::default()).unwrap().graph;
@@ -71,7 +71,7 @@ fn updates_do_not_let_a_map_of_space_grow() {
 #[test]
 fn updated_maps_of_space_do_not_depend_on_the_number_of_threads() {
     let folder = tempfile::tempdir().unwrap();
-    let today = walk(2, 2, 12.0);
+    let today = walk(2, 2, 18.0);
     let files = [1, 2, 4].map(|threads| {
         let path = folder.path().join(format!("{threads}.pbstream"));
         grown(&find(&today, &garage().map(), Some(&path), threads));

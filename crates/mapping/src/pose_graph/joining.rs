@@ -97,7 +97,8 @@ impl<S: Space> PoseGraph<S> {
                 return;
             }
             if S::SEARCHES_WHOLE_MAPS {
-                let lookups = self.add_proposed(round, &parts);
+                let most_lookups = self.places.most_lookups_of_round();
+                let lookups = self.add_proposed(round, &parts, most_lookups);
                 self.places.spend(lookups);
             } else {
                 self.add_everywhere(round, joining);

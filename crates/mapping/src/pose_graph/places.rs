@@ -54,6 +54,8 @@ impl SearchedPart {
 /// next ones.
 const LOOKUPS_A_NODE: i64 = 3_000_000;
 const MOST_SAVED: i64 = 2_000_000_000;
+/// A search in one part of the map may look up so many cells in any case, some hundredths of a second: fewer tell nothing.
+const LEAST_LOOKUPS: u64 = 1 << 24;
 
 /// What is searched for the nodes of trajectories without a place, while they are being recorded.
 #[derive(Default)]
@@ -85,6 +87,12 @@ impl PlaceSearches {
     /// Somebody wants a place to be found whatever it takes.
     pub fn save_without_limit(&mut self) {
         self.saved = i64::MAX;
+    }
+
+    /// What the nodes of one round may look up in all parts together: half of what is left, so that something is left for those
+    /// that come later.
+    pub fn most_lookups_of_round(&self) -> u64 {
+        u64::try_from(self.saved / 2).unwrap_or(0)
     }
 
     pub fn may_search(&self) -> bool {
@@ -141,7 +149,7 @@ impl<S: Space> PoseGraph<S> {
             return;
         }
         let ready = self.ready_parts(without);
-        let lookups = self.add_proposed(&[node_id], &ready.parts);
+        let lookups = self.add_proposed(&[node_id], &ready.parts, MOST_SAVED.unsigned_abs());
         self.places.spend(lookups);
         self.places.ready = Some(ready);
     }
@@ -200,10 +208,18 @@ impl<S: Space> PoseGraph<S> {
         Some(SearchedPart { finder: S::place_finder(&grids)?, submaps })
     }
 
-    /// Schedules the search for nodes where whole parts of the map propose them. Returns how many cells were looked up.
-    pub(super) fn add_proposed(&mut self, node_ids: &[NodeId], parts: &[SearchedPart]) -> u64 {
+    /// Schedules the search for nodes where whole parts of the map propose them. All together look up `most_lookups` cells at
+    /// most, or [`LEAST_LOOKUPS`] a node and part. Returns how many cells were looked up.
+    pub(super) fn add_proposed(
+        &mut self,
+        node_ids: &[NodeId],
+        parts: &[SearchedPart],
+        most_lookups: u64,
+    ) -> u64 {
+        let searches = (node_ids.len() * parts.len()).max(1) as u64;
+        let each = (most_lookups / searches).max(LEAST_LOOKUPS);
         let proposed: Vec<Proposals> =
-            node_ids.par_iter().map(|node_id| self.proposals(*node_id, parts)).collect();
+            node_ids.par_iter().map(|node_id| self.proposals(*node_id, parts, each)).collect();
         let lookups = proposed.iter().map(|proposals| proposals.lookups).sum();
         let region = SearchRegion::WholeSubmap {
             acceptance: self.loop_search().acceptance,
@@ -217,12 +233,12 @@ impl<S: Space> PoseGraph<S> {
         lookups
     }
 
-    /// Submaps in which a node may be, and where.
-    fn proposals(&self, node_id: NodeId, parts: &[SearchedPart]) -> Proposals {
+    /// Submaps in which a node may be, and where; so many cells are looked up in each part at most.
+    fn proposals(&self, node_id: NodeId, parts: &[SearchedPart], most_lookups: u64) -> Proposals {
         let scans = self.stretch_around(node_id);
         let mut proposals = Proposals::default();
         for part in parts.iter().take_while(|_| !self.stop.is_asked()) {
-            let found = part.finder.find(&scans);
+            let found = part.finder.find(&scans, most_lookups);
             proposals.lookups += found.lookups;
             for map_from_node in found.poses {
                 let near = part.submaps_near(&map_from_node);
@@ -260,5 +276,24 @@ impl<S: Space> PoseGraph<S> {
             }
         }
         scans
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn searches_end_when_what_they_may_look_up_is_spent() {
+        let mut searches = PlaceSearches::default();
+        searches.save_for(1000);
+        let (mut spent, mut rounds) = (0, 0);
+        while searches.may_search() {
+            let lookups = searches.most_lookups_of_round().max(LEAST_LOOKUPS);
+            searches.spend(lookups);
+            (spent, rounds) = (spent + lookups, rounds + 1);
+        }
+        assert!(rounds > 5, "{rounds}");
+        assert!(spent <= 1000 * LOOKUPS_A_NODE.unsigned_abs() + LEAST_LOOKUPS, "{spent}");
     }
 }

@@ -48,8 +48,9 @@ fn substitute_key(substitute: Substitute) -> &'static str {
 
 /// How long scans did not constrain each component of motion.
 fn degenerate_seconds(intervals: &[DegenerateInterval]) -> serde_json::Value {
-    let seconds = |motion: DegenerateMotion| -> f64 {
-        intervals.iter().filter(|i| i.motion == motion).map(|i| i.seconds).sum()
+    // Not `sum`, which is -0 of nothing.
+    let seconds = |motion: DegenerateMotion| {
+        intervals.iter().filter(|i| i.motion == motion).fold(0.0, |sum, i| sum + i.seconds)
     };
     let all = DegenerateMotion::ALL.map(|m| (motion_key(m).to_owned(), (10.0 * seconds(m)).round() / 10.0));
     all.into_iter()
