@@ -62,7 +62,8 @@ pub(super) struct FrontEnd {
     last_odometry_time: Option<Time>,
     /// Scans that wait for the odometry pose after them.
     waiting_ranges: VecDeque<SynchronizedRanges>,
-    /// How the scanner moves when it begins.
+    /// Where the scanner is, and how it moves, when it begins.
+    start_pose: Rigid3,
     start_velocity: Velocity,
     /// A piece of map was begun that nothing measured ties to the one before.
     has_begun_anew: bool,
@@ -100,6 +101,7 @@ impl FrontEnd {
             waiting_odometry: VecDeque::new(),
             last_odometry_time: None,
             waiting_ranges: VecDeque::new(),
+            start_pose: Rigid3::identity(),
             start_velocity,
             has_begun_anew: false,
             role,
@@ -116,14 +118,14 @@ impl FrontEnd {
         let options = &self.options.pose_extrapolator.constant_velocity;
         let use_all_odometry = self.extras.use_all_odometry;
         let waiting = &mut self.waiting_odometry;
-        let velocity = self.start_velocity;
+        let (pose, velocity) = (self.start_pose, self.start_velocity);
         self.extrapolator.get_or_insert_with(|| {
             let mut extrapolator = PoseExtrapolator::new(
                 options.pose_queue_duration,
                 options.imu_gravity_time_constant,
                 use_all_odometry,
             );
-            add_moving_pose(&mut extrapolator, time, &Rigid3::identity(), velocity);
+            add_moving_pose(&mut extrapolator, time, &pose, velocity);
             for odometry in waiting.drain(..) {
                 let _ = extrapolator.add_odometry(&odometry);
             }
@@ -249,15 +251,16 @@ impl FrontEnd {
             let step = motion.of_tracking(&motion.to(&prediction));
             self.reckoned.add(motion, &step, self.tracker.sigmas(&step));
         }
+        let at = |pose: &Rigid2| embed_3d(pose) * gravity;
         let (pose, lost) = match (gap, self.belief) {
-            (Some((seconds, bridge)), _) => (prediction, Some(self.begin_after_gap(time, seconds, bridge))),
-            (None, Belief::Lost { since }) => self.begin_where_reckoned(since, time, yaw(&gravity)),
+            (Some(gap), _) => (prediction, Some(self.begin_after_gap(time, gap, at(&prediction)))),
+            (None, Belief::Lost { since }) => self.begin_where_reckoned(since, time, &gravity),
             (None, Belief::Sure | Belief::Doubtful { .. }) => (pose, None),
         };
         if let (None, Belief::Sure, Some(marked)) = (&lost, self.belief, marked) {
             self.co_moving.learn(time, pose, marked);
         }
-        let local_from_tracking = embed_3d(&pose) * gravity;
+        let local_from_tracking = at(&pose);
         self.extrapolator.as_mut()?.add_pose(time, local_from_tracking);
         let range_data_in_local = scan.transformed(&to_f32(&embed_3d(&pose)));
         let inserted = if let Belief::Doubtful { .. } = self.belief {
@@ -278,16 +281,16 @@ impl FrontEnd {
         Some(MatchingResult { time, local_from_tracking, range_data_in_local, measured, inserted, lost })
     }
 
-    /// Ends the piece of map that nothing ties to what comes: the scanner is believed to stand where it was last seen,
-    /// and new submaps are drawn from there.
-    fn begin_anew(&mut self, since: Time, time: Time) -> Lost<Planar> {
+    /// Ends the piece of map that nothing ties to what comes: the scanner is believed to stand at this pose of the tracking
+    /// frame, and new submaps are drawn from there.
+    fn begin_anew(&mut self, since: Time, time: Time, local_from_tracking: Rigid3) -> Lost<Planar> {
         let remaining = self.active_submaps.finish();
         self.active_submaps = no_submaps(&self.options, &self.extras);
         self.motion_filter = motion_filter(&self.options.motion_filter);
         self.co_moving = CoMoving::default();
         if self.extrapolator.as_ref().is_some_and(|e| !e.measured_since_last_pose(time)) {
             self.extrapolator = None;
-            self.start_velocity = Velocity::default();
+            (self.start_pose, self.start_velocity) = (local_from_tracking, Velocity::default());
             self.start_extrapolator(time);
             self.has_begun_anew = true;
             self.tracker.begin_anew();
@@ -301,23 +304,27 @@ impl FrontEnd {
         &mut self,
         since: Time,
         time: Time,
-        tracking_yaw: f64,
+        gravity: &Quaternion,
     ) -> (Rigid2, Option<Lost<Planar>>) {
-        let lost = self.begin_anew(since, time);
-        match self.reckoned.bridge() {
-            Some((tracking, bridge)) => {
-                let aligned = Rigid2 { angle: tracking.angle - tracking_yaw, ..tracking };
-                (aligned, Some(Lost { bridge: Some(bridge), ..lost }))
-            }
-            None => (self.last_sure, Some(lost)),
-        }
+        let reckoned = self.reckoned.bridge();
+        let pose = reckoned.map_or(self.last_sure, |(tracking, _)| Rigid2 {
+            angle: tracking.angle - yaw(gravity),
+            ..tracking
+        });
+        let lost = self.begin_anew(since, time, embed_3d(&pose) * *gravity);
+        (pose, Some(Lost { bridge: reckoned.map(|(_, bridge)| bridge), ..lost }))
     }
 
     /// Ends the piece of map that odometry alone ties to what comes: new submaps are drawn from where it says that the
     /// scanner is.
-    fn begin_after_gap(&mut self, time: Time, seconds: f64, bridge: OdometryBridge) -> Lost<Planar> {
+    fn begin_after_gap(
+        &mut self,
+        time: Time,
+        (seconds, bridge): (f64, OdometryBridge),
+        local_from_tracking: Rigid3,
+    ) -> Lost<Planar> {
         let since = time - Duration::from_seconds(seconds);
-        Lost { bridge: Some(bridge), ..self.begin_anew(since, time) }
+        Lost { bridge: Some(bridge), ..self.begin_anew(since, time, local_from_tracking) }
     }
 
     /// The pose of the scan in the local map.
@@ -463,7 +470,8 @@ impl FrontEnd {
             return;
         };
         self.extrapolator = None;
-        add_moving_pose(self.start_extrapolator(time), time, &pose, velocity);
+        self.start_pose = pose;
+        self.start_extrapolator(time);
     }
 }
 
@@ -479,4 +487,32 @@ fn add_moving_pose(extrapolator: &mut PoseExtrapolator, time: Time, pose: &Rigid
 fn no_submaps(options: &TrajectoryBuilder2dOptions, extras: &LocalSlamExtras) -> ActiveSubmaps<Planar> {
     let scans_per_half = u32::try_from(options.submaps.num_range_data).unwrap_or(1);
     ActiveSubmaps::new(scans_per_half).with_length(extras.submap_length)
+}
+
+#[cfg(test)]
+mod tests {
+    use portolan_config::Options;
+    use portolan_geometry::rotation_angle;
+
+    use super::*;
+
+    #[test]
+    fn who_is_lost_is_believed_to_stand_where_he_was_last_seen() {
+        let mut options = Options::for_2d().trajectory_builder.trajectory_builder_2d;
+        options.use_imu_data = false;
+        let extras = LocalSlamExtras { adaptive_search: true, ..LocalSlamExtras::default() };
+        let velocity = Velocity { linear: portolan_geometry::Vector2::new(8.0, 0.0), angular: 0.0 };
+        let mut front_end = FrontEnd::new(&options, extras, velocity, Role::Mapping).unwrap();
+        let at = |seconds: f64| Time::from_ros(1_700_000_000, 0) + Duration::from_seconds(seconds);
+        let far = Rigid2::new(40.0, -3.0, 0.5);
+        front_end.start_extrapolator(at(0.0)).add_pose(at(5.0), embed_3d(&far));
+        front_end.last_sure = far;
+        let (pose, lost) = front_end.begin_where_reckoned(at(4.0), at(6.0), &Quaternion::identity());
+        assert!(pose == far && lost.is_some() && front_end.take_begun_anew());
+        front_end.set_velocity(Velocity::default());
+        let extrapolator = front_end.extrapolator.as_mut().unwrap();
+        extrapolator.add_pose(at(6.1), embed_3d(&far));
+        let off = embed_3d(&far).inverse() * extrapolator.extrapolate_pose(at(6.2));
+        assert!(off.translation.vector.norm() < 1e-6 && rotation_angle(&off) < 1e-6, "{off}");
+    }
 }

@@ -73,9 +73,7 @@ impl LocalSlam2d {
     /// Goes on with what was held back, with the motion that explains it best.
     fn begin(&mut self) -> Vec<MatchingResult<Planar>> {
         let (velocity, held) = self.start.decided();
-        if velocity != Velocity::default() {
-            self.front_end.set_velocity(velocity);
-        }
+        self.front_end.set_velocity(velocity);
         let results = self.hand_on(held);
         self.watch();
         results
