@@ -492,7 +492,7 @@ fn no_submaps(options: &TrajectoryBuilder2dOptions, extras: &LocalSlamExtras) ->
 #[cfg(test)]
 mod tests {
     use portolan_config::Options;
-    use portolan_geometry::rotation_angle;
+    use portolan_geometry::{Vector2, rotation_angle};
 
     use super::*;
 
@@ -501,7 +501,7 @@ mod tests {
         let mut options = Options::for_2d().trajectory_builder.trajectory_builder_2d;
         options.use_imu_data = false;
         let extras = LocalSlamExtras { adaptive_search: true, ..LocalSlamExtras::default() };
-        let velocity = Velocity { linear: portolan_geometry::Vector2::new(8.0, 0.0), angular: 0.0 };
+        let velocity = Velocity { linear: Vector2::new(8.0, 0.0), angular: 0.0 };
         let mut front_end = FrontEnd::new(&options, extras, velocity, Role::Mapping).unwrap();
         let at = |seconds: f64| Time::from_ros(1_700_000_000, 0) + Duration::from_seconds(seconds);
         let far = Rigid2::new(40.0, -3.0, 0.5);
@@ -509,10 +509,18 @@ mod tests {
         front_end.last_sure = far;
         let (pose, lost) = front_end.begin_where_reckoned(at(4.0), at(6.0), &Quaternion::identity());
         assert!(pose == far && lost.is_some() && front_end.take_begun_anew());
-        front_end.set_velocity(Velocity::default());
-        let extrapolator = front_end.extrapolator.as_mut().unwrap();
-        extrapolator.add_pose(at(6.1), embed_3d(&far));
-        let off = embed_3d(&far).inverse() * extrapolator.extrapolate_pose(at(6.2));
-        assert!(off.translation.vector.norm() < 1e-6 && rotation_angle(&off) < 1e-6, "{off}");
+        // As the scan is that fitted nothing.
+        front_end.start_extrapolator(at(6.0)).add_pose(at(6.0), embed_3d(&far));
+        for speed in [0.0, 5.0] {
+            let velocity = Velocity { linear: Vector2::new(speed, 0.0), angular: 0.0 };
+            front_end.set_velocity(velocity);
+            let predicted = front_end.start_extrapolator(at(6.0)).extrapolate_pose(at(6.1));
+            let expected = embed_3d(&(far * velocity.motion(0.1)));
+            let off = expected.inverse() * predicted;
+            assert!(
+                off.translation.vector.norm() < 1e-6 && rotation_angle(&off) < 1e-6,
+                "{speed} m/s: {off}"
+            );
+        }
     }
 }
