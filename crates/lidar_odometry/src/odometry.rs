@@ -49,6 +49,8 @@ pub struct LidarOdometry {
     attempts: Attempts,
     /// Whether no more sweeps will come.
     is_ended: bool,
+    /// Since when sweeps fitted nothing, if the last ones did not.
+    lost_since: Option<Time>,
     issues: Issues,
     memory: Memory,
 }
@@ -66,6 +68,7 @@ impl LidarOdometry {
             ended: Ended::default(),
             attempts: Attempts::default(),
             is_ended: false,
+            lost_since: None,
             issues: Issues::default(),
             memory: Memory::default(),
         }
@@ -121,7 +124,9 @@ impl LidarOdometry {
             registered.into_iter().for_each(|registered| self.judge(registered));
         }
         if self.is_ended && self.waiting.is_empty() {
-            self.ready.extend(self.recent.release());
+            let held = self.recent.release();
+            self.lost_since = self.lost_since.or_else(|| held.first().map(|sweep| sweep.sweep.end));
+            self.ready.extend(held);
         }
         self.ready.pop_front()
     }
@@ -256,6 +261,11 @@ impl LidarOdometry {
     /// Says that no more sweeps will come: what waits need not wait any longer.
     pub fn end(&mut self) {
         self.is_ended = true;
+    }
+
+    /// Since when sweeps fitted nothing, if the last ones of all did not.
+    pub fn lost_since(&self) -> Option<Time> {
+        self.lost_since
     }
 
     /// The sweeps that wait here, and then elsewhere.

@@ -111,6 +111,10 @@ pub trait LocalSlam<S: LocalSpace>: Send {
     /// Copies of the submaps that are being filled, with their indices.
     fn active_submaps(&self) -> Vec<(u32, S::Submap)>;
 
+    /// Since when scans have fitted nothing where they were looked for, if the last ones do not and where they were taken is a
+    /// guess.
+    fn lost_since(&self) -> Option<Time>;
+
     /// What was dropped or repaired so far.
     fn issues(&self) -> IssueLog;
 

@@ -141,6 +141,20 @@ impl PoseExtrapolator {
         Ok(extrapolator)
     }
 
+    /// Goes on from a pose that nothing ties to those before, moving like this in so many seconds. What the IMU
+    /// measured stays; what odometry and poses told is forgotten.
+    pub fn begin_anew(&mut self, time: Time, local_from_tracking: Rigid3, motion: &Rigid3, seconds: f64) {
+        self.poses.clear();
+        self.odometry.clear();
+        self.linear_velocity_from_poses =
+            local_from_tracking.rotation * (motion.translation.vector / seconds);
+        self.angular_velocity_from_poses = angle_axis_from_quaternion(&motion.rotation) / seconds;
+        self.linear_velocity_from_odometry = Vector3::zeros();
+        self.angular_velocity_from_odometry = Vector3::zeros();
+        self.recent_motion = Some((ScrewMotion::to(motion), seconds));
+        self.add_pose(time, local_from_tracking);
+    }
+
     /// Takes the pose of a matched scan. One that is older than the last is counted and dropped; one at
     /// the same time replaces it.
     pub fn add_pose(&mut self, time: Time, local_from_tracking: Rigid3) {
@@ -422,7 +436,12 @@ impl PoseExtrapolator {
     /// Whether odometry or a gyroscope told anything of the motion from the last pose to a time.
     pub fn measured_since_last_pose(&self, until: Time) -> bool {
         let Some(last) = self.last_pose_time() else { return false };
-        self.imu.back().is_some_and(|newest| newest.time > last) || self.odometry.is_dense(last, until)
+        self.imu.back().is_some_and(|newest| newest.time > last) || self.odometry_since_last_pose(until)
+    }
+
+    /// Whether odometry told the motion from the last pose to a time.
+    pub fn odometry_since_last_pose(&self, until: Time) -> bool {
+        self.last_pose_time().is_some_and(|last| self.odometry.is_dense(last, until))
     }
 
     /// Time of the last pose that was predicted, or taken.

@@ -14,8 +14,10 @@ impl<S: Space> MappedRecording<S> {
         let Some(start) = self.trajectory().first().map(|(time, _)| *time) else { return String::new() };
         let recorded = |time: Time| self.recorded_times.get(&time).copied().unwrap_or(time);
         let lines = self.losses.iter().take(NAMED).map(|loss| {
-            let outcome = if self.map.graph.is_tied_by_odometry(loss.piece) {
+            let outcome = if self.is_tied_by_odometry(loss) {
                 "the trajectory after it lies where odometry says, and no scan confirms it"
+            } else if loss.piece.is_none() {
+                "the trajectory ends there, and its last poses are guesses"
             } else if self.is_apart(loss) {
                 "the trajectory after it is not connected to the rest of the map, which overlaps it wrongly"
             } else {

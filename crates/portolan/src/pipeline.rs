@@ -88,19 +88,25 @@ pub struct MappedRecording<S: Space> {
 impl<S: Space> MappedRecording<S> {
     /// What the recording became in the map: one trajectory, and one more for each time that it was lost.
     pub fn pieces(&self) -> Vec<TrajectoryId> {
-        std::iter::once(self.trajectory_id).chain(self.losses.iter().map(|loss| loss.piece)).collect()
+        std::iter::once(self.trajectory_id).chain(self.losses.iter().filter_map(|loss| loss.piece)).collect()
     }
 
     /// Whether nothing ties what came after a loss to what was mapped before.
     pub fn is_apart(&self, loss: &Loss) -> bool {
+        let Some(piece) = loss.piece else { return true };
         let connectivity = &self.map.graph.state().connectivity;
-        let before = self.pieces().into_iter().take_while(|id| *id != loss.piece);
-        !before.into_iter().any(|id| connectivity.are_connected(id, loss.piece))
+        let before = self.pieces().into_iter().take_while(|id| *id != piece);
+        !before.into_iter().any(|id| connectivity.are_connected(id, piece))
+    }
+
+    /// Whether odometry alone tells where a piece lies.
+    pub fn is_tied_by_odometry(&self, loss: &Loss) -> bool {
+        loss.piece.is_some_and(|piece| self.map.graph.is_tied_by_odometry(piece))
     }
 
     /// Whether odometry alone tells where a piece lies although scans contradicted the map before it.
     pub fn is_unconfirmed(&self, loss: &Loss) -> bool {
-        !loss.is_gap && self.map.graph.is_tied_by_odometry(loss.piece)
+        !loss.is_gap && self.is_tied_by_odometry(loss)
     }
 
     /// Whether data were lost, of the recording, of known maps or while mapping, something was mapped that nothing ties to
@@ -355,7 +361,7 @@ pub fn map_recording<S: Space>(
         return Err(PipelineError::NoScans);
     }
     map.graph.move_by(&frame.origin());
-    for id in std::iter::once(trajectory_id).chain(losses.iter().map(|loss| loss.piece)) {
+    for id in std::iter::once(trajectory_id).chain(losses.iter().filter_map(|loss| loss.piece)) {
         if let Some(ended) = map.trajectories.get_mut(&id) {
             ended.fixed_frame_on_earth = ingestion.nav_sat_origin();
         }

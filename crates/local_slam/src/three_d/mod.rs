@@ -218,6 +218,13 @@ impl LocalSlam<Spatial> for LocalSlam3d {
         self.insertion.submaps.iter().map(|(index, submap)| (index, drawn(submap))).collect()
     }
 
+    fn lost_since(&self) -> Option<Time> {
+        match &self.engine {
+            Engine::Planes(engine) => engine.lost_since(),
+            Engine::Grids(_) => None,
+        }
+    }
+
     fn issues(&self) -> IssueLog {
         let mut issues = self.issues.clone();
         self.insertion.count_into(&mut issues);

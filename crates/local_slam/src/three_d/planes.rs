@@ -132,6 +132,11 @@ impl PlaneEngine {
         results
     }
 
+    /// Since when sweeps have fitted nothing, if the last ones did not when the trajectory ended.
+    pub fn lost_since(&self) -> Option<Time> {
+        self.odometry.lost_since()
+    }
+
     /// The planes of the maps that are being filled, oldest first.
     pub fn growing_maps(&self) -> impl Iterator<Item = PlaneMap> {
         self.odometry.local_maps().map(|map| map.planes.now().compacted())

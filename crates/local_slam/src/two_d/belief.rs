@@ -26,6 +26,13 @@ pub(super) struct Fit {
     pub looks_wrong: bool,
 }
 
+impl Fit {
+    /// Whether it does not confirm a guess: it looks wrong or, where nothing measured the motion, the map hardly knows what is seen.
+    pub fn is_poor(&self) -> bool {
+        self.looks_wrong || !self.is_measured && is_hardly_explained(&self.agreement)
+    }
+}
+
 /// What is believed of the pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) enum Belief {
@@ -38,7 +45,8 @@ pub(super) enum Belief {
         since: Time,
         /// How many there were.
         scans: u32,
-        /// The first one fits only far from where odometry has it, and badly: it may see a place that the map does not know.
+        /// The first one fits badly, and only far from where odometry has it or after a time of which nothing is known: it may see
+        /// a place that the map does not know.
         is_elsewhere: bool,
     },
     /// The pose is not known any more.
@@ -57,9 +65,9 @@ impl Belief {
         }
     }
 
-    /// After one more scan that fits only far from where odometry has it, and badly: the best of all the places that were looked
-    /// at is none then.
-    pub fn after_refuted_jump(self, time: Time) -> Self {
+    /// After one more scan that fits badly where it was found, and only far from where odometry has it or after a time of which
+    /// nothing is known: the best of all the places that were looked at is none then.
+    pub fn after_guess(self, time: Time) -> Self {
         self.doubted(time, true)
     }
 
@@ -77,14 +85,14 @@ impl Belief {
     /// Whether a scan fits nothing. Where odometry measured the motion this takes more: scans of a new room may contradict
     /// what was seen of it through a door, and those among people contradict everything; odometry bridges them.
     fn is_doubted(self, fit: &Fit) -> bool {
-        let Fit { agreement, is_measured, looks_wrong } = fit;
-        if !is_measured {
-            return agreement.contradicted() >= CONTRADICTED;
-        }
-        match self {
-            Self::Doubtful { is_elsewhere, .. } => fits_badly(agreement) || is_elsewhere && *looks_wrong,
+        let Fit { agreement, is_measured, .. } = fit;
+        let is_guess = matches!(self, Self::Doubtful { is_elsewhere: true, .. });
+        let fits_nothing = match self {
+            _ if !is_measured => agreement.contradicted() >= CONTRADICTED,
+            Self::Doubtful { .. } => fits_badly(agreement),
             Self::Sure | Self::Lost { .. } => refutes_place(agreement),
-        }
+        };
+        fits_nothing || is_guess && fit.is_poor()
     }
 }
 
@@ -129,16 +137,25 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_to_where_little_fits_is_refuted_until_something_does() {
+    fn a_place_where_little_fits_is_none_until_something_does() {
         let at = |i: i64| Time::from_ticks(2_000_000 * i);
         let agreement = |explained| Some(ScanAgreement { explained, in_free_space: 0.3, through_solid: 0.1 });
-        let mut belief = Belief::Sure.after_refuted_jump(at(0));
+        let mut belief = Belief::Sure.after_guess(at(0));
         assert_eq!(belief, Belief::Doubtful { since: at(0), scans: 1, is_elsewhere: true });
         assert_eq!(belief.after(at(1), fit(agreement(0.6), true, false)), Belief::Sure);
         for i in 1..=5 {
             belief = belief.after(at(i), fit(agreement(0.45), true, true));
         }
         assert_eq!(belief, Belief::Lost { since: at(0) });
+        // The same where nothing was measured, or where most is new.
+        let believed = |explained: f32, looks_wrong| {
+            (1..=5).fold(Belief::Sure.after_guess(at(0)), |belief, i| {
+                let agreement = ScanAgreement { explained, in_free_space: 0.3, through_solid: 0.05 };
+                belief.after(at(i), fit(Some(agreement), false, looks_wrong))
+            })
+        };
+        assert_eq!([believed(0.45, true), believed(0.3, false)], [Belief::Lost { since: at(0) }; 2]);
+        assert_eq!(believed(0.45, false), Belief::Sure);
         // Else it takes more.
         let door = Belief::Sure.after(at(0), fit(agreement(0.1), true, true));
         assert_eq!(door, Belief::Doubtful { since: at(0), scans: 1, is_elsewhere: false });

@@ -37,7 +37,7 @@ impl DeadReckoning {
     pub fn add(&mut self, motion: &Motion, step: &Rigid2, sigmas: PredictionSigmas) {
         let (length, turn) = (step.translation.norm(), step.normalized_angle().abs());
         let seconds = motion.seconds;
-        self.is_whole &= motion.is_measured
+        self.is_whole &= motion.is_measured()
             && length <= FASTEST.linear * seconds + STANDING.0
             && turn <= FASTEST.angular * seconds + STANDING.1;
         self.translation_variance += sigmas.translation.powi(2) + length * length * self.rotation_variance;
@@ -60,6 +60,7 @@ impl DeadReckoning {
 
 #[cfg(test)]
 mod tests {
+    use super::super::motion::Measured;
     use super::*;
 
     const SIGMAS: PredictionSigmas = PredictionSigmas { translation: 0.02, rotation: 0.01 };
@@ -87,6 +88,6 @@ mod tests {
         let motion = Motion::measured(0.2);
         assert!(after(&[(0.001, 0.0); 10], motion).is_none());
         assert!(after(&[(0.1, 0.0), (3.0, 0.0), (0.1, 0.0)], motion).is_none());
-        assert!(after(&[(0.1, 0.0); 10], Motion { is_measured: false, ..motion }).is_none());
+        assert!(after(&[(0.1, 0.0); 10], Motion { measured: Measured::Rotation, ..motion }).is_none());
     }
 }

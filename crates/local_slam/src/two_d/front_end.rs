@@ -20,7 +20,7 @@ use super::belief::{Belief, Fit};
 use super::co_moving::CoMoving;
 use super::dead_reckoning::DeadReckoning;
 use super::gather::{Accumulation, GatheredScan, gravity_aligned, unwarp};
-use super::motion::Motion;
+use super::motion::{Measured, Motion};
 use super::scan::Scan;
 use super::start::{NEAR, Role, Velocity};
 use super::tracking::{Found, Tracker};
@@ -33,7 +33,7 @@ use crate::{
 /// An odometry source that reported nothing for so long is not waited for.
 const ODOMETRY_TIMEOUT: Duration = Duration::from_ticks(50_000_000);
 
-/// The motion before a scanner begins is given by its poses there and so many seconds before.
+/// A velocity is given to predictions as the motion of so many seconds.
 const SHORTLY: f64 = 0.1;
 
 /// How much newer the newest scan may be than one that still waits for odometry.
@@ -62,8 +62,7 @@ pub(super) struct FrontEnd {
     last_odometry_time: Option<Time>,
     /// Scans that wait for the odometry pose after them.
     waiting_ranges: VecDeque<SynchronizedRanges>,
-    /// Where the scanner is, and how it moves, when it begins.
-    start_pose: Rigid3,
+    /// How the scanner moves when it begins.
     start_velocity: Velocity,
     /// A piece of map was begun that nothing measured ties to the one before.
     has_begun_anew: bool,
@@ -101,7 +100,6 @@ impl FrontEnd {
             waiting_odometry: VecDeque::new(),
             last_odometry_time: None,
             waiting_ranges: VecDeque::new(),
-            start_pose: Rigid3::identity(),
             start_velocity,
             has_begun_anew: false,
             role,
@@ -118,14 +116,14 @@ impl FrontEnd {
         let options = &self.options.pose_extrapolator.constant_velocity;
         let use_all_odometry = self.extras.use_all_odometry;
         let waiting = &mut self.waiting_odometry;
-        let (pose, velocity) = (self.start_pose, self.start_velocity);
+        let velocity = self.start_velocity;
         self.extrapolator.get_or_insert_with(|| {
             let mut extrapolator = PoseExtrapolator::new(
                 options.pose_queue_duration,
                 options.imu_gravity_time_constant,
                 use_all_odometry,
             );
-            add_moving_pose(&mut extrapolator, time, &pose, velocity);
+            begin_anew(&mut extrapolator, time, Rigid3::identity(), velocity);
             for odometry in waiting.drain(..) {
                 let _ = extrapolator.add_odometry(&odometry);
             }
@@ -206,7 +204,7 @@ impl FrontEnd {
         }
         let extrapolator = self.extrapolator.as_mut()?;
         let last_pose = extrapolator.last_pose();
-        let motion_was_measured = extrapolator.measured_since_last_pose(time);
+        let measured = Measured::since_last_pose(extrapolator, time);
         let predicted = extrapolator.extrapolate_pose(time);
         let between_readings = extrapolator.between_readings(time);
         let matching_cloud = filtered(&scan.returns, &self.options.adaptive_voxel_filter);
@@ -218,7 +216,7 @@ impl FrontEnd {
         let motion = last_pose.map(|(last_time, last)| Motion {
             last: project_2d(&(last * gravity.inverse())),
             seconds: time.seconds_since(last_time),
-            is_measured: motion_was_measured,
+            measured,
             between_readings: between_readings.map(|pose| project_2d(&(pose * gravity.inverse()))),
             tracking_yaw: yaw(&gravity),
         });
@@ -230,7 +228,7 @@ impl FrontEnd {
         }
         let fit = found.agreement.map(|agreement| Fit {
             agreement,
-            is_measured: motion_was_measured,
+            is_measured: measured == Measured::Whole,
             looks_wrong: self.usual_agreement.looks_wrong(&agreement),
         });
         let is_refuted = found.is_far && fit.is_some_and(|fit| fit.is_measured && fit.looks_wrong);
@@ -242,9 +240,12 @@ impl FrontEnd {
         let gap = motion.and_then(|motion| {
             Some((motion.seconds, self.tracker.bridge(motion, &prediction, found.agreement)?))
         });
+        let is_unknown = motion.is_some_and(|motion| motion.is_unknown());
         self.belief = match gap {
             Some(_) => Belief::Sure,
-            None if is_refuted => self.belief.after_refuted_jump(time),
+            None if is_refuted || is_unknown && fit.is_some_and(|fit| fit.is_poor()) => {
+                self.belief.after_guess(time)
+            }
             None => self.belief.after(time, fit),
         };
         if let Some(motion) = &motion {
@@ -288,10 +289,9 @@ impl FrontEnd {
         self.active_submaps = no_submaps(&self.options, &self.extras);
         self.motion_filter = motion_filter(&self.options.motion_filter);
         self.co_moving = CoMoving::default();
-        if self.extrapolator.as_ref().is_some_and(|e| !e.measured_since_last_pose(time)) {
-            self.extrapolator = None;
-            (self.start_pose, self.start_velocity) = (local_from_tracking, Velocity::default());
-            self.start_extrapolator(time);
+        let nothing_tells = |e: &&mut PoseExtrapolator| !e.odometry_since_last_pose(time);
+        if let Some(extrapolator) = self.extrapolator.as_mut().filter(nothing_tells) {
+            begin_anew(extrapolator, time, local_from_tracking, Velocity::default());
             self.has_begun_anew = true;
             self.tracker.begin_anew();
         }
@@ -346,7 +346,7 @@ impl FrontEnd {
             }
             return found;
         }
-        let unseen = motion.filter(|motion| !motion.is_measured);
+        let unseen = motion.filter(|motion| !motion.is_rotation_measured());
         let prediction =
             unseen.and_then(|motion| self.found_after_gap(time, motion, cloud)).unwrap_or(prediction);
         let submap = self.active_submaps.matching_submap();
@@ -443,6 +443,14 @@ impl FrontEnd {
         self.active_submaps.iter().map(|(index, submap)| (index, submap.clone())).collect()
     }
 
+    /// Since when scans have fitted nothing where they were looked for, if the last ones do not and it is a guess.
+    pub fn lost_since(&self) -> Option<Time> {
+        match self.belief {
+            Belief::Doubtful { since, is_elsewhere: true, .. } => Some(since),
+            Belief::Sure | Belief::Doubtful { .. } | Belief::Lost { .. } => None,
+        }
+    }
+
     /// What was dropped or repaired so far.
     pub fn issues(&self) -> IssueLog {
         let mut issues = self.issues.clone();
@@ -466,22 +474,23 @@ impl FrontEnd {
     /// Says how the scanner moves when it begins, seen from where it begins, or, where it has, from the last pose.
     pub fn set_velocity(&mut self, velocity: Velocity) {
         self.start_velocity = velocity;
-        let Some((time, pose)) = self.extrapolator.as_ref().and_then(PoseExtrapolator::last_pose) else {
-            return;
-        };
-        self.extrapolator = None;
-        self.start_pose = pose;
-        self.start_extrapolator(time);
+        if let Some(extrapolator) = &mut self.extrapolator
+            && let Some((time, pose)) = extrapolator.last_pose()
+        {
+            begin_anew(extrapolator, time, pose, velocity);
+        }
     }
 }
 
-/// Adds a pose of a scanner that moves like this, seen from there.
-fn add_moving_pose(extrapolator: &mut PoseExtrapolator, time: Time, pose: &Rigid3, velocity: Velocity) {
-    if velocity != Velocity::default() {
-        let before = Duration::from_seconds(SHORTLY);
-        extrapolator.add_pose(time - before, pose * embed_3d(&velocity.motion(-SHORTLY)));
-    }
-    extrapolator.add_pose(time, *pose);
+/// Predictions go on from a pose with this velocity, seen from there.
+fn begin_anew(
+    extrapolator: &mut PoseExtrapolator,
+    time: Time,
+    local_from_tracking: Rigid3,
+    velocity: Velocity,
+) {
+    let motion = embed_3d(&velocity.motion(SHORTLY));
+    extrapolator.begin_anew(time, local_from_tracking, &motion, SHORTLY);
 }
 
 fn no_submaps(options: &TrajectoryBuilder2dOptions, extras: &LocalSlamExtras) -> ActiveSubmaps<Planar> {

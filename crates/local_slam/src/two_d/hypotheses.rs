@@ -29,8 +29,9 @@ pub(super) struct Hypothesis {
     pub around: Rigid2,
     pub found: ScanMatch2d,
     pub basis: Basis,
-    /// What odometry says, where it is believed to have caught up.
-    pub as_told: Option<Rigid2>,
+    /// Where else it may be: where odometry says, if it is believed to have caught up; where the velocity led, if nothing is known
+    /// of it any more.
+    pub otherwise: Option<Rigid2>,
 }
 
 /// What says that a scan is somewhere.

@@ -16,9 +16,11 @@ mod prediction_error;
 mod scan;
 mod start;
 mod tracking;
+mod unknown_motion;
 mod witnesses;
 
 use portolan_config::TrajectoryBuilder2dOptions;
+use portolan_geometry::Time;
 use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_recall::Memory;
 use portolan_sensor::{ImuData, OdometryData, RangeDataCollator, SensorId, TimedPointCloudData};
@@ -141,6 +143,10 @@ impl LocalSlam<Planar> for LocalSlam2d {
 
     fn active_submaps(&self) -> Vec<(u32, Submap2d)> {
         self.front_end.active_submaps()
+    }
+
+    fn lost_since(&self) -> Option<Time> {
+        self.front_end.lost_since()
     }
 
     fn issues(&self) -> IssueLog {

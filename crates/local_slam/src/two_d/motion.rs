@@ -2,7 +2,8 @@
 
 use std::f64::consts::PI;
 
-use portolan_geometry::Rigid2;
+use portolan_geometry::{Rigid2, Time};
+use portolan_motion::PoseExtrapolator;
 use portolan_submaps::SearchWindow;
 
 /// A robot in a building or carried through it moves and turns no faster than this, m/s and rad/s …
@@ -19,6 +20,29 @@ const LARGEST_ACCELERATION: SearchWindow = SearchWindow { linear: 10.0, angular:
 /// No scan is searched farther than this, metres and radians.
 pub(super) const WIDEST: SearchWindow = SearchWindow { linear: 3.0, angular: 1.6 };
 
+/// What sensors told of a motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Measured {
+    Nothing,
+    /// A gyroscope told how it turned. How far it went is not known.
+    Rotation,
+    /// Odometry told all of it.
+    Whole,
+}
+
+impl Measured {
+    /// What an extrapolator knows of the motion from the last pose to a time.
+    pub fn since_last_pose(extrapolator: &PoseExtrapolator, time: Time) -> Self {
+        if extrapolator.odometry_since_last_pose(time) {
+            Self::Whole
+        } else if extrapolator.measured_since_last_pose(time) {
+            Self::Rotation
+        } else {
+            Self::Nothing
+        }
+    }
+}
+
 /// The motion since the last scan.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motion {
@@ -26,8 +50,8 @@ pub(super) struct Motion {
     pub last: Rigid2,
     /// Seconds since then.
     pub seconds: f64,
-    /// Whether odometry or an IMU measured anything of it.
-    pub is_measured: bool,
+    /// What sensors told of it.
+    pub measured: Measured,
     /// The pose that odometry tells if its readings are too far apart to measure the motion.
     pub between_readings: Option<Rigid2>,
     /// Yaw of the tracking frame in the gravity-aligned frame whose motion this is, radians.
@@ -41,10 +65,25 @@ impl Motion {
         Self {
             last: Rigid2::identity(),
             seconds,
-            is_measured: true,
+            measured: Measured::Whole,
             between_readings: None,
             tracking_yaw: 0.0,
         }
+    }
+
+    /// Whether odometry told how far it went.
+    pub fn is_measured(&self) -> bool {
+        self.measured == Measured::Whole
+    }
+
+    /// Whether it is known how it turned.
+    pub fn is_rotation_measured(&self) -> bool {
+        self.measured != Measured::Nothing
+    }
+
+    /// Whether so much time has passed, with nothing that told how far it went, that nothing is left of a velocity.
+    pub fn is_unknown(&self) -> bool {
+        !self.is_measured() && self.seconds > LONGEST_UNMEASURED
     }
 
     /// From the last scan to a pose, turned by at most half a turn.
@@ -80,13 +119,12 @@ pub(super) fn reached_by_acceleration(seconds: f64) -> SearchWindow {
 
 /// As far as the scanner can have moved.
 pub(super) fn wide_window(usual: SearchWindow, motion: Motion) -> SearchWindow {
-    let (seconds, widest_angle) = if motion.is_measured {
-        (motion.seconds.min(LONGEST_MEASURED), WIDEST.angular)
-    } else {
-        (motion.seconds.min(LONGEST_UNMEASURED), PI)
-    };
+    let seconds =
+        |is_measured| motion.seconds.min(if is_measured { LONGEST_MEASURED } else { LONGEST_UNMEASURED });
+    let is_rotation_measured = motion.is_rotation_measured();
+    let widest_angle = if is_rotation_measured { WIDEST.angular } else { PI };
     SearchWindow {
-        linear: (2.0 * usual.linear).max(FASTEST.linear * seconds).min(WIDEST.linear),
-        angular: (2.0 * usual.angular).max(FASTEST.angular * seconds).min(widest_angle),
+        linear: (2.0 * usual.linear).max(FASTEST.linear * seconds(motion.is_measured())).min(WIDEST.linear),
+        angular: (2.0 * usual.angular).max(FASTEST.angular * seconds(is_rotation_measured)).min(widest_angle),
     }
 }

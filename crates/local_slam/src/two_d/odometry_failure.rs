@@ -98,7 +98,7 @@ impl OdometryFailure {
     pub fn add_measured(&mut self, motion: Motion, measured: &MotionPrior) -> Option<(MotionPrior, f64)> {
         self.unfollowed = None;
         let LastMotion { moved, seconds, open } = self.last?;
-        if !motion.is_measured || motion.seconds > LONGEST_MEASURED {
+        if !motion.is_measured() || motion.seconds > LONGEST_MEASURED {
             return None;
         }
         let share = motion.seconds / seconds;

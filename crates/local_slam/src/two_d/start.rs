@@ -30,8 +30,9 @@ const FEWEST_SCANS: usize = 4;
 const FASTEST: f64 = 30.0;
 /// No scan is looked for farther from the one before, metres.
 const FARTHEST: f64 = 4.0;
-/// Half the edge of the squares that are searched one by one, metres, and how far the scanner may have turned, radians.
-const SQUARE: SearchWindow = SearchWindow { linear: 0.5, angular: 0.08 };
+/// Half the edge of the squares that are searched one by one, each for one motion, metres, and how far the scanner may have turned,
+/// radians.
+const SQUARE: SearchWindow = SearchWindow { linear: ALIKE, angular: 0.08 };
 /// A scan is followed if it is so near where the motion leads, metres and radians.
 pub(super) const NEAR: SearchWindow = SearchWindow { linear: 0.2, angular: 0.1 };
 /// So many motions are followed, beside none.
@@ -143,6 +144,9 @@ fn proposals(tracker: &Tracker, motion: Motion, scan: &Scan) -> Vec<Velocity> {
     let mut found: Vec<(f32, Rigid2)> = Vec::new();
     for (i, j) in (-rings..=rings).flat_map(|i| (-rings..=rings).map(move |j| (i, j))) {
         let off = 2.0 * SQUARE.linear * Vector2::new(f64::from(i), f64::from(j));
+        if off.norm() > reach {
+            continue;
+        }
         let around = motion.last * Rigid2 { translation: off, angle: 0.0 };
         let best = tracker.search_freely(scan, around, SQUARE);
         found.extend(best.score.map(|score| (score, best.pose)));

@@ -15,14 +15,14 @@ use super::catching_up::CatchingUp;
 use super::degeneracy::WeakDirection;
 use super::hypotheses::{Basis, Hypothesis, Judgement, Looked};
 use super::motion::{
-    ACCELERATION, ANGULAR_ACCELERATION, LONGEST_UNMEASURED, Motion, WIDEST, reached_by_acceleration,
-    wide_window,
+    ACCELERATION, ANGULAR_ACCELERATION, Measured, Motion, WIDEST, reached_by_acceleration, wide_window,
 };
 use super::odometry_failure::{OdometryFailure, Told};
 use super::odometry_scale::OdometryScale;
 use super::posterior::{BeamEvidence, MotionPrior};
 use super::prediction_error::{PredictionError, PredictionSigmas, UsualScore};
 use super::scan::{Scan, with_share};
+use super::unknown_motion::UnknownMotion;
 use crate::OdometryBridge;
 use crate::remembered_scans::RememberedScans;
 
@@ -144,7 +144,8 @@ impl Tracker {
         if motion.seconds < least {
             return None;
         }
-        if !self.is_adaptive() || !motion.is_measured || !agreement.is_none_or(|a| is_hardly_explained(&a)) {
+        if !self.is_adaptive() || !motion.is_measured() || !agreement.is_none_or(|a| is_hardly_explained(&a))
+        {
             return None;
         }
         let sigmas = self.prediction_error.sigmas(&motion.to(prediction));
@@ -185,15 +186,15 @@ impl Tracker {
     /// Finds the scan around its prediction, as far as predictions were wrong lately, and as far as the scanner can
     /// have moved where it fits the map worse than scans did lately.
     pub fn find(&mut self, prediction: Rigid2, motion: Motion, scan: Scan) -> Found {
-        // After so long nothing is left of a velocity.
-        let is_unknown = !motion.is_measured && motion.seconds > LONGEST_UNMEASURED;
         let measured = motion.to(&prediction);
         let of_tracking = motion.of_tracking(&measured);
         let scaled = motion.of_aligned(&self.odometry_scale.corrected(&of_tracking));
-        let prediction = match motion.is_measured {
-            true => motion.last * scaled,
-            false if is_unknown => motion.last,
-            false => prediction,
+        let went_on = prediction;
+        let prediction = match motion.measured {
+            Measured::Whole => motion.last * scaled,
+            Measured::Rotation if motion.is_unknown() => Rigid2 { angle: prediction.angle, ..motion.last },
+            Measured::Nothing if motion.is_unknown() => motion.last,
+            Measured::Rotation | Measured::Nothing => prediction,
         };
         let weak = WeakDirection::of(scan.returns);
         // Readings far apart tell nothing of turns and stops between them, but how far it went along a corridor.
@@ -204,15 +205,16 @@ impl Tracker {
         let balanced = weak.as_ref().map(|weak| weak.balanced(scan.returns));
         let cloud = balanced.as_ref().unwrap_or(scan.cloud);
         let window = self.window(&motion, &prediction);
-        let near = self.search_hypotheses(prediction, motion, (&scan, cloud), window);
-        let is_failing = motion.is_measured && near.basis == Basis::WentOn;
+        let near = self.search_hypotheses([prediction, went_on], motion, (&scan, cloud), window);
+        let is_failing = motion.is_measured() && near.basis == Basis::WentOn;
         let has_caught_up = near.basis == Basis::CaughtUp;
         let told_motion = (motion.to(&prediction), motion.seconds);
-        let motion = Motion { is_measured: near.basis != Basis::WentOn, ..motion };
+        let measured_by = if is_failing { Measured::Nothing } else { motion.measured };
+        let motion = Motion { measured: measured_by, ..motion };
         let (found, judgement) = self.judged(&near, motion, (&scan, cloud), window);
         self.looked = None;
         let is_far = judgement == Judgement::Far;
-        self.catching_up.add(told_motion, near.around, is_far && motion.is_measured, has_caught_up);
+        self.catching_up.add(told_motion, near.around, is_far && motion.is_measured(), has_caught_up);
         if let Some(score) = found.score {
             self.usual_score.add(score);
         }
@@ -262,8 +264,11 @@ impl Tracker {
         let agreement = scan_agreement(&scan.submap.grid, &found.pose, scan.cloud);
         let is_low = found.score.is_some_and(|score| self.usual_score.is_low(score));
         let is_refuted = agreement.as_ref().is_some_and(refutes_place);
-        let wide = (self.limit.is_none() && (is_low || is_refuted || near.is_at_edge(window)))
-            .then(|| self.search_wide((scan, cloud), near, wide_window(window, motion)));
+        let is_sought = self.limit.is_none() && (is_low || is_refuted || near.is_at_edge(window));
+        if let (true, true, Some(went_on)) = (is_sought, motion.is_unknown(), near.otherwise) {
+            return self.judged_unknown(near, went_on, motion, (scan, cloud));
+        }
+        let wide = is_sought.then(|| self.search_wide((scan, cloud), near, wide_window(window, motion)));
         let prior = self.prior(near.around, motion);
         let is_doubted = scan.witnesses.are_few() && is_elsewhere(&(near.around.inverse() * found.pose))
             || agreement.as_ref().is_some_and(is_hardly_explained);
@@ -271,7 +276,7 @@ impl Tracker {
             return (found, Judgement::Near);
         }
         // A prediction that nothing measured is no witness.
-        let predicted = motion.is_measured.then_some(near.around);
+        let predicted = motion.is_measured().then_some(near.around);
         match (self.most_likely(&prior, [predicted, Some(found.pose), wide.map(|w| w.pose)], scan), wide) {
             (Some(0), _) => (ScanMatch2d { pose: near.around, ..found }, Judgement::Predicted),
             (Some(2), Some(wide)) => (wide, Judgement::Far),
@@ -279,8 +284,35 @@ impl Tracker {
         }
     }
 
-    /// The best match far around what is believed of the motion and, where that is that odometry has caught up, around what it
-    /// says without.
+    /// The likeliest match after a time of which nothing is known: near the last pose, near where the velocity led, or far around
+    /// either.
+    fn judged_unknown(
+        &self,
+        stopped: &Hypothesis,
+        went_on: Rigid2,
+        motion: Motion,
+        (scan, cloud): (&Scan, &PointCloud),
+    ) -> (ScanMatch2d, Judgement) {
+        let window = self.window(&motion, &went_on);
+        let far = wide_window(window, motion);
+        let searched = [(went_on, window), (stopped.around, far), (went_on, far)];
+        let prior = UnknownMotion::new(&motion, stopped.around, went_on);
+        let likely = |found: &ScanMatch2d| {
+            let agreement = scan_agreement(&scan.submap.grid, &found.pose, scan.cloud)?;
+            let beams = self.beam_evidence.log_likelihood(&agreement, scan.witnesses);
+            Some(prior.log_density(&found.pose) + beams)
+        };
+        let mut best = (stopped.found, Judgement::Near);
+        for (around, window) in searched {
+            let found = self.search((scan, cloud), around, window);
+            if found.pose.is_finite() && likely(&found) > likely(&best.0) {
+                best = (found, Judgement::Far);
+            }
+        }
+        best
+    }
+
+    /// The best match far around what is believed of the motion, or around where else it may be.
     fn search_wide(
         &self,
         scan: (&Scan, &PointCloud),
@@ -288,7 +320,7 @@ impl Tracker {
         window: SearchWindow,
     ) -> ScanMatch2d {
         let found = self.search(scan, near.around, window);
-        match near.as_told.map(|as_told| self.search(scan, as_told, window)) {
+        match near.otherwise.map(|otherwise| self.search(scan, otherwise, window)) {
             Some(other) if other.score > found.score => other,
             _ => found,
         }
@@ -308,11 +340,11 @@ impl Tracker {
         best.map(|(i, _)| i)
     }
 
-    /// The best match around what may have happened: it went on as before, or, where nothing was measured for long,
+    /// The best match around what may have happened: it went on as before, or, where nothing was measured for some time,
     /// it stopped; where odometry measured the motion that, or, where it fails, it went on as before.
     fn search_hypotheses(
         &mut self,
-        prediction: Rigid2,
+        [prediction, went_on]: [Rigid2; 2],
         motion: Motion,
         scan: (&Scan, &PointCloud),
         window: SearchWindow,
@@ -321,10 +353,13 @@ impl Tracker {
             around,
             found: self.search(scan, around, window),
             basis,
-            as_told: None,
+            otherwise: None,
         };
-        if !motion.is_measured {
+        if !motion.is_measured() {
             let predicted = around(prediction, Basis::WentOn);
+            if motion.is_unknown() {
+                return Hypothesis { otherwise: Some(went_on), ..predicted };
+            }
             if motion.seconds <= self.gap {
                 return predicted;
             }
@@ -339,7 +374,7 @@ impl Tracker {
             return measured;
         };
         let found = self.search(scan, went_on.prediction, self.window_of(&went_on.sigmas));
-        let other = Hypothesis { around: went_on.prediction, found, basis: Basis::WentOn, as_told: None };
+        let other = Hypothesis { around: went_on.prediction, found, basis: Basis::WentOn, otherwise: None };
         let likely = |prior, hypothesis| self.likely(prior, hypothesis, scan.0);
         let (Some(works), Some(fails)) = (likely(&prior, &measured), likely(&went_on, &other)) else {
             return measured;
@@ -360,7 +395,7 @@ impl Tracker {
         let other = MotionPrior { prediction: caught_up.around, ..prior };
         match (self.likely(&prior, &predicted, scan), self.likely(&other, &caught_up, scan)) {
             (Some(as_told), Some(later)) if later > as_told => {
-                (Hypothesis { as_told: Some(predicted.around), ..caught_up }, other)
+                (Hypothesis { otherwise: Some(predicted.around), ..caught_up }, other)
             }
             _ => (predicted, prior),
         }
@@ -389,9 +424,11 @@ impl Tracker {
     /// What the motion says of the pose of a scan.
     fn prior(&self, prediction: Rigid2, motion: Motion) -> MotionPrior {
         let mut sigmas = self.prediction_error.sigmas(&motion.to(&prediction));
-        if !motion.is_measured {
-            let square = motion.seconds.powi(2);
+        let square = motion.seconds.powi(2);
+        if !motion.is_measured() {
             sigmas.translation = sigmas.translation.hypot(ACCELERATION * square);
+        }
+        if !motion.is_rotation_measured() {
             sigmas.rotation = sigmas.rotation.hypot(ANGULAR_ACCELERATION * square);
         }
         MotionPrior { prediction, sigmas }
@@ -415,7 +452,7 @@ impl Tracker {
         let (mut pose, mut observed) = (found, found);
         if let Some(weak) = weak {
             let learned = self.prediction_error.sigmas(&predicted_motion).translation;
-            let is_told = motion.is_measured || motion.between_readings.is_some();
+            let is_told = motion.is_measured() || motion.between_readings.is_some();
             let unmeasured = if is_told { 0.0 } else { ACCELERATION * motion.seconds.powi(2) };
             let gain =
                 weak.gain(&scan.submap.grid, scan.returns, (&around, &found), learned.hypot(unmeasured));
@@ -441,14 +478,17 @@ impl Tracker {
     /// have accelerated to, however fast it goes.
     fn window(&self, motion: &Motion, prediction: &Rigid2) -> SearchWindow {
         let window = self.window_of(&self.prediction_error.sigmas(&motion.to(prediction)));
-        if motion.is_measured || self.limit.is_some() {
+        if motion.is_measured() || self.limit.is_some() {
             return window;
         }
         let usual = self.matcher.usual_window().unwrap_or(window);
         let reached = reached_by_acceleration(motion.seconds);
         SearchWindow {
             linear: window.linear.min(usual.linear + reached.linear),
-            angular: window.angular.min(usual.angular + reached.angular),
+            angular: match motion.is_rotation_measured() {
+                true => window.angular,
+                false => window.angular.min(usual.angular + reached.angular),
+            },
         }
     }
 

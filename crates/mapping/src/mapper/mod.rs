@@ -64,10 +64,10 @@ struct ActiveTrajectory<S: Space> {
 pub struct Loss {
     /// Time of the first scan that did not fit any more, or of the last one before a gap.
     pub since: Time,
-    /// Time of the first scan of the new piece.
+    /// Time of the first scan of the new piece, or of the last one of all.
     pub until: Time,
-    /// The trajectory that the new piece is in the map.
-    pub piece: TrajectoryId,
+    /// The trajectory that the new piece is in the map; none where nothing fitted any more until the end.
+    pub piece: Option<TrajectoryId>,
     /// It is a gap without scans in which odometry measured the motion.
     pub is_gap: bool,
 }

@@ -240,7 +240,7 @@ impl<S: Space> Mapper<S> {
         let begun = self.scan_poses();
         let Some(trajectory) = self.active.get_mut(&id) else { return Ok(()) };
         self.next_trajectory += 1;
-        self.losses.push(Loss { since: lost.since, until: time, piece, is_gap: lost.is_gap() });
+        self.losses.push(Loss { since: lost.since, until: time, piece: Some(piece), is_gap: lost.is_gap() });
         let before = std::mem::replace(&mut trajectory.piece, piece);
         let ended = EndedTrajectory {
             options: trajectory.options.clone(),
@@ -269,6 +269,9 @@ impl<S: Space> Mapper<S> {
         let Some(mut trajectory) = self.active.remove(&id) else {
             return Err(MapperError::NoSuchTrajectory(id));
         };
+        if let (Some(since), Some(last)) = (trajectory.local_slam.lost_since(), trajectory.scans.last()) {
+            self.losses.push(Loss { since, until: last.time, piece: None, is_gap: false });
+        }
         let remaining = trajectory.local_slam.finish();
         self.issues.append(&trajectory.local_slam.issues());
         self.degenerate_intervals.extend(trajectory.local_slam.degenerate_intervals());

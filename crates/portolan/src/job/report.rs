@@ -135,10 +135,10 @@ fn losses<S: Space>(mapped: &MappedRecording<S>) -> Vec<serde_json::Value> {
         serde_json::json!({
             "from": recorded(loss.since),
             "to": recorded(loss.until),
-            "trajectory": loss.piece.0,
+            "trajectory": loss.piece.map(|piece| piece.0),
             "is_connected": !mapped.is_apart(loss),
             "is_gap_without_scans": loss.is_gap,
-            "is_tied_by_odometry_alone": mapped.map.graph.is_tied_by_odometry(loss.piece),
+            "is_tied_by_odometry_alone": mapped.is_tied_by_odometry(loss),
         })
     };
     mapped.losses.iter().map(entry).collect()

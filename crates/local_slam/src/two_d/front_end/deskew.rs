@@ -8,7 +8,7 @@ use portolan_geometry::{Quaternion, Rigid2, Rigid3, Time, embed_3d, project_2d, 
 use portolan_sensor::{PointCloud, SynchronizedRanges};
 
 use super::super::gather::{Accumulation, GatheredScan, gravity_aligned, unwarp};
-use super::super::motion::{LONGEST_UNMEASURED, Motion};
+use super::super::motion::{LONGEST_UNMEASURED, Measured, Motion};
 use super::super::scan::{Scan, with_share};
 use super::FrontEnd;
 use crate::filtered;
@@ -25,8 +25,8 @@ impl FrontEnd {
         let extrapolator = self.extrapolator.as_mut()?;
         let (last_time, last) = extrapolator.last_pose()?;
         let seconds = ranges.time.seconds_since(last_time);
-        let is_measured = extrapolator.measured_since_last_pose(ranges.time);
-        if !self.tracker.is_adaptive() || is_measured {
+        let measured = Measured::since_last_pose(extrapolator, ranges.time);
+        if !self.tracker.is_adaptive() || measured != Measured::Nothing {
             return None;
         }
         let options = &self.options;
@@ -45,8 +45,7 @@ impl FrontEnd {
         self.tracker.note(ranges.time, &prediction, [&cloud, returns]);
         let scan = Scan::new(&cloud, returns, self.active_submaps.matching_submap()?);
         let tracking_yaw = yaw(&gravity);
-        let motion =
-            Motion { last: planar(last), seconds, is_measured, between_readings: None, tracking_yaw };
+        let motion = Motion { last: planar(last), seconds, measured, between_readings: None, tracking_yaw };
         let error = prediction.inverse() * self.tracker.look(prediction, motion, scan)?;
         let half_a_cell = 0.5 * f64::from(options.submaps.grid_options_2d.resolution);
         let in_scan = 1.0 - error_share(1.0 + begin / seconds);
