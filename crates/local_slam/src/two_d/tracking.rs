@@ -1,6 +1,8 @@
 //! Where a scan lies in the submap that is matched against: hypotheses of the motion, searches around them as wide as
 //! predictions were wrong lately, and a judgement of what was found.
 
+mod judging;
+
 use portolan_config::TrajectoryBuilder2dOptions;
 use portolan_geometry::{Rigid2, Time, embed_3d};
 use portolan_grids::{ScanAgreement, scan_agreement};
@@ -10,19 +12,16 @@ use portolan_sensor::PointCloud;
 use portolan_submaps::{ScanMatch2d, ScanMatcher2d, SearchWindow};
 
 use super::LocalSlamExtras;
-use super::belief::{is_hardly_explained, refutes_place};
+use super::belief::is_hardly_explained;
 use super::catching_up::CatchingUp;
 use super::degeneracy::WeakDirection;
-use super::hypotheses::{Basis, Hypothesis, Judgement, Looked};
-use super::motion::{
-    ACCELERATION, ANGULAR_ACCELERATION, Measured, Motion, WIDEST, reached_by_acceleration, wide_window,
-};
+use super::hypotheses::{Basis, Judgement, Looked};
+use super::motion::{ACCELERATION, ANGULAR_ACCELERATION, Measured, Motion, WIDEST, reached_by_acceleration};
 use super::odometry_failure::{OdometryFailure, Told};
 use super::odometry_scale::OdometryScale;
 use super::posterior::{BeamEvidence, MotionPrior};
 use super::prediction_error::{PredictionError, PredictionSigmas, UsualScore};
 use super::scan::{Scan, with_share};
-use super::unknown_motion::UnknownMotion;
 use crate::OdometryBridge;
 use crate::remembered_scans::RememberedScans;
 
@@ -183,37 +182,25 @@ impl Tracker {
         self.looked = None;
     }
 
-    /// Finds the scan around its prediction, as far as predictions were wrong lately, and as far as the scanner can
+    /// Finds the scan around where the motion leads, as far as predictions were wrong lately, and as far as the scanner can
     /// have moved where it fits the map worse than scans did lately.
-    pub fn find(&mut self, prediction: Rigid2, motion: Motion, scan: Scan) -> Found {
-        let measured = motion.to(&prediction);
-        let of_tracking = motion.of_tracking(&measured);
-        let scaled = motion.of_aligned(&self.odometry_scale.corrected(&of_tracking));
-        let went_on = prediction;
-        let prediction = match motion.measured {
-            Measured::Whole => motion.last * scaled,
-            Measured::Rotation if motion.is_unknown() => Rigid2 { angle: prediction.angle, ..motion.last },
-            Measured::Nothing if motion.is_unknown() => motion.last,
-            Measured::Rotation | Measured::Nothing => prediction,
-        };
+    pub fn find(&mut self, told: Rigid2, motion: Motion, scan: Scan) -> Found {
+        // 1. Predict.
         let weak = WeakDirection::of(scan.returns);
-        // Readings far apart tell nothing of turns and stops between them, but how far it went along a corridor.
-        let prediction = match (&weak, motion.between_readings) {
-            (Some(weak), Some(told)) => weak.with_share(&told, &prediction, 0.0),
-            _ => prediction,
-        };
+        let prediction = self.predicted(told, &motion, weak.as_ref());
+        // 2. Search, and judge what is found.
         let balanced = weak.as_ref().map(|weak| weak.balanced(scan.returns));
         let cloud = balanced.as_ref().unwrap_or(scan.cloud);
         let window = self.window(&motion, &prediction);
-        let near = self.search_hypotheses([prediction, went_on], motion, (&scan, cloud), window);
+        let near = self.search_hypotheses([prediction, told], motion, (&scan, cloud), window);
         let is_failing = motion.is_measured() && near.basis == Basis::WentOn;
-        let has_caught_up = near.basis == Basis::CaughtUp;
         let told_motion = (motion.to(&prediction), motion.seconds);
-        let measured_by = if is_failing { Measured::Nothing } else { motion.measured };
-        let motion = Motion { measured: measured_by, ..motion };
+        let measured = if is_failing { Measured::Nothing } else { motion.measured };
+        let motion = Motion { measured, ..motion };
         let (found, judgement) = self.judged(&near, motion, (&scan, cloud), window);
         self.looked = None;
         let is_far = judgement == Judgement::Far;
+        let has_caught_up = near.basis == Basis::CaughtUp;
         self.catching_up.add(told_motion, near.around, is_far && motion.is_measured(), has_caught_up);
         if let Some(score) = found.score {
             self.usual_score.add(score);
@@ -221,8 +208,9 @@ impl Tracker {
         if !found.pose.is_finite() {
             return Found { pose: prediction, is_far: false, agreement: None };
         }
-        let is_told = !scan.witnesses.are_few();
-        if weak.is_none() && is_told {
+        // 3. Weigh it with the prediction.
+        let is_open = weak.is_some() || scan.witnesses.are_few();
+        if !is_open {
             self.odometry_failure.add_pose(&found.pose);
         }
         // Found far off, the prediction was judged to be none.
@@ -232,17 +220,18 @@ impl Tracker {
             Judgement::Predicted if scan.witnesses.are_few() => found.pose,
             _ => self.weigh(found.pose, near.around, motion, &scan, weighed, is_failing || is_far),
         };
-        let told = match (weak.is_some() || !is_told, is_far) {
+        // 4. Learn how odometry and beams agree with it. Where scans leave a direction open, they do not say how far it went.
+        let told_by_scan = match (is_open, is_far) {
             (false, _) => Told::Well,
             (true, false) => Told::Hardly,
             (true, true) => Told::Guessed,
         };
-        self.odometry_failure.add_motion(&motion.to(&pose), motion.seconds, told);
-        // Where scans leave a direction open, they do not say how far it went.
-        if near.basis == Basis::Measured && !is_far && weak.is_none() && is_told {
+        self.odometry_failure.add_motion(&motion.to(&pose), motion.seconds, told_by_scan);
+        if near.basis == Basis::Measured && !is_far && !is_open {
+            let measured = motion.to(&told);
             let sigma = self.prediction_error.sigmas(&measured).translation;
             let moved = motion.of_tracking(&motion.to(&found.pose));
-            self.odometry_scale.add(&of_tracking, &moved, sigma);
+            self.odometry_scale.add(&motion.of_tracking(&measured), &moved, sigma);
         }
         let agreement = scan_agreement(&scan.submap.grid, &pose, scan.cloud);
         if let Some(agreement) = &agreement {
@@ -251,161 +240,22 @@ impl Tracker {
         Found { pose, is_far, agreement }
     }
 
-    /// What was found near the prediction, or something likelier: the prediction itself, or, where a good match is expected
-    /// elsewhere, what is found as far as the scanner can have moved.
-    fn judged(
-        &self,
-        near: &Hypothesis,
-        motion: Motion,
-        (scan, cloud): (&Scan, &PointCloud),
-        window: SearchWindow,
-    ) -> (ScanMatch2d, Judgement) {
-        let found = near.found;
-        let agreement = scan_agreement(&scan.submap.grid, &found.pose, scan.cloud);
-        let is_low = found.score.is_some_and(|score| self.usual_score.is_low(score));
-        let is_refuted = agreement.as_ref().is_some_and(refutes_place);
-        let is_sought = self.limit.is_none() && (is_low || is_refuted || near.is_at_edge(window));
-        if let (true, true, Some(went_on)) = (is_sought, motion.is_unknown(), near.otherwise) {
-            return self.judged_unknown(near, went_on, motion, (scan, cloud));
-        }
-        let wide = is_sought.then(|| self.search_wide((scan, cloud), near, wide_window(window, motion)));
-        let prior = self.prior(near.around, motion);
-        let is_doubted = scan.witnesses.are_few() && is_elsewhere(&(near.around.inverse() * found.pose))
-            || agreement.as_ref().is_some_and(is_hardly_explained);
-        if wide.is_none() && !is_doubted {
-            return (found, Judgement::Near);
-        }
-        // A prediction that nothing measured is no witness.
-        let predicted = motion.is_measured().then_some(near.around);
-        match (self.most_likely(&prior, [predicted, Some(found.pose), wide.map(|w| w.pose)], scan), wide) {
-            (Some(0), _) => (ScanMatch2d { pose: near.around, ..found }, Judgement::Predicted),
-            (Some(2), Some(wide)) => (wide, Judgement::Far),
-            _ => (found, Judgement::Near),
-        }
-    }
-
-    /// The likeliest match after a time of which nothing is known: near the last pose, near where the velocity led, or far around
-    /// either.
-    fn judged_unknown(
-        &self,
-        stopped: &Hypothesis,
-        went_on: Rigid2,
-        motion: Motion,
-        (scan, cloud): (&Scan, &PointCloud),
-    ) -> (ScanMatch2d, Judgement) {
-        let window = self.window(&motion, &went_on);
-        let far = wide_window(window, motion);
-        let searched = [(went_on, window), (stopped.around, far), (went_on, far)];
-        let prior = UnknownMotion::new(&motion, stopped.around, went_on);
-        let likely = |found: &ScanMatch2d| {
-            let agreement = scan_agreement(&scan.submap.grid, &found.pose, scan.cloud)?;
-            let beams = self.beam_evidence.log_likelihood(&agreement, scan.witnesses);
-            Some(prior.log_density(&found.pose) + beams)
+    /// Where the scan is expected, told where odometry, or else the velocity, leads.
+    fn predicted(&self, told: Rigid2, motion: &Motion, weak: Option<&WeakDirection>) -> Rigid2 {
+        let prediction = match motion.measured {
+            Measured::Whole => {
+                let measured = motion.of_tracking(&motion.to(&told));
+                motion.last * motion.of_aligned(&self.odometry_scale.corrected(&measured))
+            }
+            Measured::Rotation if motion.is_unknown() => Rigid2 { angle: told.angle, ..motion.last },
+            Measured::Nothing if motion.is_unknown() => motion.last,
+            Measured::Rotation | Measured::Nothing => told,
         };
-        let mut best = (stopped.found, Judgement::Near);
-        for (around, window) in searched {
-            let found = self.search((scan, cloud), around, window);
-            if found.pose.is_finite() && likely(&found) > likely(&best.0) {
-                best = (found, Judgement::Far);
-            }
+        // Readings far apart tell nothing of turns and stops between them, but how far it went along a corridor.
+        match (weak, motion.between_readings) {
+            (Some(weak), Some(read)) => weak.with_share(&read, &prediction, 0.0),
+            _ => prediction,
         }
-        best
-    }
-
-    /// The best match far around what is believed of the motion, or around where else it may be.
-    fn search_wide(
-        &self,
-        scan: (&Scan, &PointCloud),
-        near: &Hypothesis,
-        window: SearchWindow,
-    ) -> ScanMatch2d {
-        let found = self.search(scan, near.around, window);
-        match near.otherwise.map(|otherwise| self.search(scan, otherwise, window)) {
-            Some(other) if other.score > found.score => other,
-            _ => found,
-        }
-    }
-
-    /// Which pose is the most likely one, the first of equal ones; none where the grid does not tell.
-    fn most_likely(&self, prior: &MotionPrior, poses: [Option<Rigid2>; 3], scan: &Scan) -> Option<usize> {
-        let mut best: Option<(usize, f64)> = None;
-        for (i, pose) in poses.into_iter().enumerate() {
-            let Some(pose) = pose.filter(Rigid2::is_finite) else { continue };
-            let agreement = scan_agreement(&scan.submap.grid, &pose, scan.cloud)?;
-            let likely = prior.log_posterior(&pose, &agreement, (&self.beam_evidence, scan.witnesses));
-            if best.is_none_or(|(_, most)| likely > most) {
-                best = Some((i, likely));
-            }
-        }
-        best.map(|(i, _)| i)
-    }
-
-    /// The best match around what may have happened: it went on as before, or, where nothing was measured for some time,
-    /// it stopped; where odometry measured the motion that, or, where it fails, it went on as before.
-    fn search_hypotheses(
-        &mut self,
-        [prediction, went_on]: [Rigid2; 2],
-        motion: Motion,
-        scan: (&Scan, &PointCloud),
-        window: SearchWindow,
-    ) -> Hypothesis {
-        let around = |around, basis| Hypothesis {
-            around,
-            found: self.search(scan, around, window),
-            basis,
-            otherwise: None,
-        };
-        if !motion.is_measured() {
-            let predicted = around(prediction, Basis::WentOn);
-            if motion.is_unknown() {
-                return Hypothesis { otherwise: Some(went_on), ..predicted };
-            }
-            if motion.seconds <= self.gap {
-                return predicted;
-            }
-            let stopped = around(motion.last, Basis::WentOn);
-            return if stopped.found.score > predicted.found.score { stopped } else { predicted };
-        }
-        let predicted = around(prediction, Basis::Measured);
-        let caught_up = self.catching_up.after(&motion.to(&prediction), motion.seconds);
-        let caught_up = caught_up.map(|caught_up| around(caught_up, Basis::CaughtUp));
-        let (measured, prior) = self.likelier(predicted, caught_up, motion, scan.0);
-        let Some((went_on, log_odds)) = self.odometry_failure.add_measured(motion, &prior) else {
-            return measured;
-        };
-        let found = self.search(scan, went_on.prediction, self.window_of(&went_on.sigmas));
-        let other = Hypothesis { around: went_on.prediction, found, basis: Basis::WentOn, otherwise: None };
-        let likely = |prior, hypothesis| self.likely(prior, hypothesis, scan.0);
-        let (Some(works), Some(fails)) = (likely(&prior, &measured), likely(&went_on, &other)) else {
-            return measured;
-        };
-        if self.odometry_failure.fails(log_odds + fails - works) { other } else { measured }
-    }
-
-    /// What odometry says, or what it says if it has caught up, and with which prior.
-    fn likelier(
-        &self,
-        predicted: Hypothesis,
-        caught_up: Option<Hypothesis>,
-        motion: Motion,
-        scan: &Scan,
-    ) -> (Hypothesis, MotionPrior) {
-        let prior = self.prior(predicted.around, motion);
-        let Some(caught_up) = caught_up else { return (predicted, prior) };
-        let other = MotionPrior { prediction: caught_up.around, ..prior };
-        match (self.likely(&prior, &predicted, scan), self.likely(&other, &caught_up, scan)) {
-            (Some(as_told), Some(later)) if later > as_told => {
-                (Hypothesis { otherwise: Some(predicted.around), ..caught_up }, other)
-            }
-            _ => (predicted, prior),
-        }
-    }
-
-    /// Logarithm of how likely it is that a scan was taken where it was found, up to a constant; none where the grid does not tell.
-    fn likely(&self, prior: &MotionPrior, hypothesis: &Hypothesis, scan: &Scan) -> Option<f64> {
-        let pose = hypothesis.found.pose;
-        let agreement = scan_agreement(&scan.submap.grid, &pose, scan.cloud)?;
-        Some(prior.log_posterior(&pose, &agreement, (&self.beam_evidence, scan.witnesses)))
     }
 
     fn search(

@@ -1,6 +1,6 @@
 #![allow(clippy::unwrap_used)] // tests fail so
 use portolan_config::Options;
-use portolan_geometry::{Vector2, rotation_angle};
+use portolan_geometry::{Quaternion, Vector2, embed_3d, rotation_angle};
 
 use super::*;
 

@@ -1,0 +1,234 @@
+//! One whole scan: predicted, matched, believed or not, inserted.
+
+use std::sync::Arc;
+
+use portolan_geometry::{Quaternion, Rigid2, Rigid3, Time, embed_3d, is_valid_pose, project_2d, to_f32, yaw};
+use portolan_issue::IssueKind;
+use portolan_sensor::{PointCloud, RangeData};
+use portolan_submaps::{PlanarScan, Submap2d, search_after_gap};
+
+use super::super::belief::{Belief, Fit};
+use super::super::co_moving::Marked;
+use super::super::dead_reckoning::DeadReckoning;
+use super::super::gather::GatheredScan;
+use super::super::motion::{Measured, Motion};
+use super::super::scan::Scan;
+use super::super::tracking::Found;
+use super::FrontEnd;
+use crate::{InsertedNode, Lost, MatchingResult, NodeData, Planar, filtered};
+
+/// A scan and where it is expected.
+struct Expected<'a> {
+    /// In the gravity-aligned tracking frame.
+    scan: &'a RangeData,
+    /// What is matched of its returns.
+    cloud: PointCloud,
+    /// In the local map.
+    prediction: Rigid2,
+    /// Since the scan before.
+    motion: Option<Motion>,
+}
+
+impl FrontEnd {
+    /// One whole scan in the gravity-aligned tracking frame.
+    pub(super) fn add_accumulated(
+        &mut self,
+        time: Time,
+        gathered: &GatheredScan,
+        gravity: Quaternion,
+    ) -> Option<MatchingResult<Planar>> {
+        // 1. Leave out what moves along with the scanner.
+        let (marked, without) = self.without_co_moving(time, gathered, &gravity);
+        let scan = without.as_ref().unwrap_or(&gathered.range_data);
+        // 2. Predict.
+        let expected = self.expected(time, scan, &gravity)?;
+        // 3. Match.
+        let found = self.find(time, &expected);
+        self.note_for_role(&expected, &found);
+        // 4. Believe that, or begin a new piece of map.
+        let (pose, lost) = self.believed(time, &expected, &found, &gravity)?;
+        if let (None, Belief::Sure, Some(marked)) = (&lost, self.belief, marked) {
+            self.co_moving.learn(time, pose, marked);
+        }
+        let local_from_tracking = embed_3d(&pose) * gravity;
+        self.extrapolator.as_mut()?.add_pose(time, local_from_tracking);
+        // 5. Insert.
+        let range_data_in_local = scan.transformed(&to_f32(&embed_3d(&pose)));
+        let inserted = if let Belief::Doubtful { .. } = self.belief {
+            self.count(IssueKind::ScanContradictsMap, time);
+            None
+        } else {
+            found.agreement.iter().for_each(|agreement| self.usual_agreement.add(agreement));
+            (self.last_sure, self.reckoned) = (pose, DeadReckoning::from(project_2d(&local_from_tracking)));
+            // On trial all motions draw as much.
+            let is_drawn = self.role.is_trial() || !self.motion_filter.is_similar(time, &local_from_tracking);
+            is_drawn.then(|| {
+                let scans = [scan, &range_data_in_local];
+                let inserted = self.insert(time, scans, expected.cloud, local_from_tracking, gravity);
+                InsertedNode { agreement: found.agreement, ..inserted }
+            })
+        };
+        let measured = Vec::new();
+        Some(MatchingResult { time, local_from_tracking, range_data_in_local, measured, inserted, lost })
+    }
+
+    /// What moves along with the scanner, and the scan without it, if anything does.
+    fn without_co_moving(
+        &mut self,
+        time: Time,
+        gathered: &GatheredScan,
+        gravity: &Quaternion,
+    ) -> (Option<Marked>, Option<RangeData>) {
+        let scan = &gathered.range_data;
+        let aligned_from_scanner = gathered.aligned_from_scanner(gravity);
+        let marked = self.extras.adaptive_search.then(|| self.co_moving.mark(scan, aligned_from_scanner));
+        let without = marked.as_ref().and_then(|marked| marked.without_co_moving(scan));
+        if without.is_some() {
+            self.count(IssueKind::ReturnsMoveAlong, time);
+        }
+        (marked, without)
+    }
+
+    /// Where a scan is expected; none where nothing of it can be matched.
+    fn expected<'a>(
+        &mut self,
+        time: Time,
+        scan: &'a RangeData,
+        gravity: &Quaternion,
+    ) -> Option<Expected<'a>> {
+        if scan.returns.is_empty() {
+            self.count(IssueKind::ScanWithoutReturn, time);
+            return None;
+        }
+        let extrapolator = self.extrapolator.as_mut()?;
+        let last_pose = extrapolator.last_pose();
+        let measured = Measured::since_last_pose(extrapolator, time);
+        let predicted = extrapolator.extrapolate_pose(time);
+        let between_readings = extrapolator.between_readings(time);
+        let cloud = filtered(&scan.returns, &self.options.adaptive_voxel_filter);
+        if cloud.is_empty() {
+            self.count(IssueKind::ScanWithoutReturnInRange, time);
+            return None;
+        }
+        let planar = |pose: Rigid3| project_2d(&(pose * gravity.inverse()));
+        let motion = last_pose.map(|(last_time, last)| Motion {
+            last: planar(last),
+            seconds: time.seconds_since(last_time),
+            measured,
+            between_readings: between_readings.map(planar),
+            tracking_yaw: yaw(gravity),
+        });
+        Some(Expected { scan, cloud, prediction: planar(predicted), motion })
+    }
+
+    /// The pose of the scan in the local map.
+    fn find(&mut self, time: Time, expected: &Expected) -> Found {
+        let Expected { cloud, prediction, motion, .. } = expected;
+        let returns = &expected.scan.returns;
+        self.tracker.note(time, prediction, [cloud, returns]);
+        let submap = self.active_submaps.matching_submap();
+        let scan = submap.map(|submap| Scan::new(cloud, returns, submap));
+        if let (true, Some(motion), Some(scan)) = (self.tracker.is_adaptive(), motion, scan) {
+            let found = self.tracker.find(*prediction, *motion, scan);
+            if found.is_far {
+                self.count(IssueKind::ScanFarFromPrediction, time);
+            }
+            return found;
+        }
+        let unseen = motion.filter(|motion| !motion.is_rotation_measured());
+        let prediction =
+            unseen.and_then(|motion| self.found_after_gap(time, motion, cloud)).unwrap_or(*prediction);
+        let submap = self.active_submaps.matching_submap();
+        let scan = submap.map(|submap| Scan::new(cloud, returns, submap));
+        Found { pose: self.tracker.match_scan(prediction, scan, cloud), is_far: false, agreement: None }
+    }
+
+    /// Where the scan fits when time has passed with nothing measured: the old velocity tells nothing then.
+    fn found_after_gap(&mut self, time: Time, motion: Motion, cloud: &PointCloud) -> Option<Rigid2> {
+        if self.extras.wide_search_after_gap <= 0.0 || motion.seconds < self.extras.wide_search_after_gap {
+            return None;
+        }
+        let submap = self.active_submaps.matching_submap()?;
+        let found = search_after_gap(motion.last, motion.seconds, cloud, submap);
+        let kind = match found {
+            Some(_) => IssueKind::ScanAfterGapFound,
+            None => IssueKind::ScanAfterGapNotFound,
+        };
+        self.count(kind, time);
+        found
+    }
+
+    fn note_for_role(&mut self, expected: &Expected, found: &Found) {
+        let Some(motion) = expected.motion else { return };
+        let submap = self.active_submaps.matching_submap();
+        let scan = submap.map(|submap| Scan::new(&expected.cloud, &expected.scan.returns, submap));
+        self.role.note(&self.tracker, (expected.prediction, found), motion, scan);
+    }
+
+    /// The pose that is believed in the local map, and the end of the piece of map if it is another one; none if it is no pose.
+    fn believed(
+        &mut self,
+        time: Time,
+        Expected { prediction, motion, .. }: &Expected,
+        found: &Found,
+        gravity: &Quaternion,
+    ) -> Option<(Rigid2, Option<Lost<Planar>>)> {
+        let fit = found.agreement.map(|agreement| Fit {
+            agreement,
+            is_measured: motion.is_some_and(|motion| motion.is_measured()),
+            looks_wrong: self.usual_agreement.looks_wrong(&agreement),
+        });
+        let is_refuted = found.is_far && fit.is_some_and(|fit| fit.is_measured && fit.looks_wrong);
+        let pose = if found.pose.is_finite() && !is_refuted { found.pose } else { *prediction };
+        let at = |pose: &Rigid2| embed_3d(pose) * *gravity;
+        if !is_valid_pose(&at(&pose)) {
+            self.count(IssueKind::ScanWithoutPose, time);
+            return None;
+        }
+        let gap = motion.and_then(|motion| {
+            Some((motion.seconds, self.tracker.bridge(motion, prediction, found.agreement)?))
+        });
+        let is_unknown = motion.is_some_and(|motion| motion.is_unknown());
+        let is_guess = is_refuted || is_unknown && fit.is_some_and(|fit| fit.is_poor());
+        self.belief = match gap {
+            Some(_) => Belief::Sure,
+            None if is_guess => self.belief.after_guess(time),
+            None => self.belief.after(time, fit),
+        };
+        if let Some(motion) = motion {
+            let step = motion.of_tracking(&motion.to(prediction));
+            self.reckoned.add(motion, &step, self.tracker.sigmas(&step));
+        }
+        Some(match (gap, self.belief) {
+            (Some(gap), _) => (*prediction, Some(self.begin_after_gap(time, gap, at(prediction)))),
+            (None, Belief::Lost { since }) => self.begin_where_reckoned(since, time, gravity),
+            (None, Belief::Sure | Belief::Doubtful { .. }) => (pose, None),
+        })
+    }
+
+    fn insert(
+        &mut self,
+        time: Time,
+        [scan, range_data_in_local]: [&RangeData; 2],
+        matching_cloud: PointCloud,
+        local_from_tracking: Rigid3,
+        gravity_alignment: Quaternion,
+    ) -> InsertedNode<Planar> {
+        let resolution = f64::from(self.options.submaps.grid_options_2d.resolution);
+        let inserter = &self.inserter;
+        let submaps = self
+            .active_submaps
+            .insert(range_data_in_local, |origin| Submap2d::new(origin, resolution, inserter).ok());
+        let data = Arc::new(NodeData {
+            time,
+            gravity_alignment,
+            filtered_gravity_aligned_point_cloud: matching_cloud,
+            high_resolution_point_cloud: PointCloud::default(),
+            low_resolution_point_cloud: PointCloud::default(),
+            rotational_scan_matcher_histogram: Vec::new(),
+            local_from_tracking,
+            scan: self.extras.keep_scans.then(|| PlanarScan::new(scan)),
+        });
+        InsertedNode { data, submaps, open: Default::default(), agreement: None }
+    }
+}

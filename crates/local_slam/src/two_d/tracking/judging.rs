@@ -1,0 +1,173 @@
+//! Where a scan may have been taken, and which of these places is believed.
+
+use portolan_geometry::Rigid2;
+use portolan_grids::scan_agreement;
+use portolan_sensor::PointCloud;
+use portolan_submaps::{ScanMatch2d, SearchWindow};
+
+use super::super::belief::{is_hardly_explained, refutes_place};
+use super::super::hypotheses::{Basis, Hypothesis, Judgement};
+use super::super::motion::{Motion, wide_window};
+use super::super::posterior::MotionPrior;
+use super::super::scan::Scan;
+use super::super::unknown_motion::UnknownMotion;
+use super::{Tracker, is_elsewhere};
+
+impl Tracker {
+    /// What was found near the prediction, or something likelier: the prediction itself, or, where a good match is expected
+    /// elsewhere, what is found as far as the scanner can have moved.
+    pub(super) fn judged(
+        &self,
+        near: &Hypothesis,
+        motion: Motion,
+        (scan, cloud): (&Scan, &PointCloud),
+        window: SearchWindow,
+    ) -> (ScanMatch2d, Judgement) {
+        let found = near.found;
+        let agreement = scan_agreement(&scan.submap.grid, &found.pose, scan.cloud);
+        let is_low = found.score.is_some_and(|score| self.usual_score.is_low(score));
+        let is_refuted = agreement.as_ref().is_some_and(refutes_place);
+        let is_sought = self.limit.is_none() && (is_low || is_refuted || near.is_at_edge(window));
+        if let (true, true, Some(went_on)) = (is_sought, motion.is_unknown(), near.otherwise) {
+            return self.judged_unknown(near, went_on, motion, (scan, cloud));
+        }
+        let wide = is_sought.then(|| self.search_wide((scan, cloud), near, wide_window(window, motion)));
+        let prior = self.prior(near.around, motion);
+        let is_doubted = scan.witnesses.are_few() && is_elsewhere(&(near.around.inverse() * found.pose))
+            || agreement.as_ref().is_some_and(is_hardly_explained);
+        if wide.is_none() && !is_doubted {
+            return (found, Judgement::Near);
+        }
+        // A prediction that nothing measured is no witness.
+        let predicted = motion.is_measured().then_some(near.around);
+        match (self.most_likely(&prior, [predicted, Some(found.pose), wide.map(|w| w.pose)], scan), wide) {
+            (Some(0), _) => (ScanMatch2d { pose: near.around, ..found }, Judgement::Predicted),
+            (Some(2), Some(wide)) => (wide, Judgement::Far),
+            _ => (found, Judgement::Near),
+        }
+    }
+
+    /// The likeliest match after a time of which nothing is known: near the last pose, near where the velocity led, or far around
+    /// either.
+    fn judged_unknown(
+        &self,
+        stopped: &Hypothesis,
+        went_on: Rigid2,
+        motion: Motion,
+        (scan, cloud): (&Scan, &PointCloud),
+    ) -> (ScanMatch2d, Judgement) {
+        let window = self.window(&motion, &went_on);
+        let far = wide_window(window, motion);
+        let searched = [(went_on, window), (stopped.around, far), (went_on, far)];
+        let prior = UnknownMotion::new(&motion, stopped.around, went_on);
+        let likely = |found: &ScanMatch2d| {
+            let agreement = scan_agreement(&scan.submap.grid, &found.pose, scan.cloud)?;
+            let beams = self.beam_evidence.log_likelihood(&agreement, scan.witnesses);
+            Some(prior.log_density(&found.pose) + beams)
+        };
+        let mut best = (stopped.found, Judgement::Near);
+        for (around, window) in searched {
+            let found = self.search((scan, cloud), around, window);
+            if found.pose.is_finite() && likely(&found) > likely(&best.0) {
+                best = (found, Judgement::Far);
+            }
+        }
+        best
+    }
+
+    /// The best match far around what is believed of the motion, or around where else it may be.
+    fn search_wide(
+        &self,
+        scan: (&Scan, &PointCloud),
+        near: &Hypothesis,
+        window: SearchWindow,
+    ) -> ScanMatch2d {
+        let found = self.search(scan, near.around, window);
+        match near.otherwise.map(|otherwise| self.search(scan, otherwise, window)) {
+            Some(other) if other.score > found.score => other,
+            _ => found,
+        }
+    }
+
+    /// Which pose is the most likely one, the first of equal ones; none where the grid does not tell.
+    fn most_likely(&self, prior: &MotionPrior, poses: [Option<Rigid2>; 3], scan: &Scan) -> Option<usize> {
+        let mut best: Option<(usize, f64)> = None;
+        for (i, pose) in poses.into_iter().enumerate() {
+            let Some(pose) = pose.filter(Rigid2::is_finite) else { continue };
+            let agreement = scan_agreement(&scan.submap.grid, &pose, scan.cloud)?;
+            let likely = prior.log_posterior(&pose, &agreement, (&self.beam_evidence, scan.witnesses));
+            if best.is_none_or(|(_, most)| likely > most) {
+                best = Some((i, likely));
+            }
+        }
+        best.map(|(i, _)| i)
+    }
+
+    /// The best match around what may have happened: it went on as before, or, where nothing was measured for some time,
+    /// it stopped; where odometry measured the motion that, or, where it fails, it went on as before.
+    pub(super) fn search_hypotheses(
+        &mut self,
+        [prediction, went_on]: [Rigid2; 2],
+        motion: Motion,
+        scan: (&Scan, &PointCloud),
+        window: SearchWindow,
+    ) -> Hypothesis {
+        let around = |around, basis| Hypothesis {
+            around,
+            found: self.search(scan, around, window),
+            basis,
+            otherwise: None,
+        };
+        if !motion.is_measured() {
+            let predicted = around(prediction, Basis::WentOn);
+            if motion.is_unknown() {
+                return Hypothesis { otherwise: Some(went_on), ..predicted };
+            }
+            if motion.seconds <= self.gap {
+                return predicted;
+            }
+            let stopped = around(motion.last, Basis::WentOn);
+            return if stopped.found.score > predicted.found.score { stopped } else { predicted };
+        }
+        let predicted = around(prediction, Basis::Measured);
+        let caught_up = self.catching_up.after(&motion.to(&prediction), motion.seconds);
+        let caught_up = caught_up.map(|caught_up| around(caught_up, Basis::CaughtUp));
+        let (measured, prior) = self.likelier(predicted, caught_up, motion, scan.0);
+        let Some((went_on, log_odds)) = self.odometry_failure.add_measured(motion, &prior) else {
+            return measured;
+        };
+        let found = self.search(scan, went_on.prediction, self.window_of(&went_on.sigmas));
+        let other = Hypothesis { around: went_on.prediction, found, basis: Basis::WentOn, otherwise: None };
+        let likely = |prior, hypothesis| self.likely(prior, hypothesis, scan.0);
+        let (Some(works), Some(fails)) = (likely(&prior, &measured), likely(&went_on, &other)) else {
+            return measured;
+        };
+        if self.odometry_failure.fails(log_odds + fails - works) { other } else { measured }
+    }
+
+    /// What odometry says, or what it says if it has caught up, and with which prior.
+    fn likelier(
+        &self,
+        predicted: Hypothesis,
+        caught_up: Option<Hypothesis>,
+        motion: Motion,
+        scan: &Scan,
+    ) -> (Hypothesis, MotionPrior) {
+        let prior = self.prior(predicted.around, motion);
+        let Some(caught_up) = caught_up else { return (predicted, prior) };
+        let other = MotionPrior { prediction: caught_up.around, ..prior };
+        match (self.likely(&prior, &predicted, scan), self.likely(&other, &caught_up, scan)) {
+            (Some(as_told), Some(later)) if later > as_told => {
+                (Hypothesis { otherwise: Some(predicted.around), ..caught_up }, other)
+            }
+            _ => (predicted, prior),
+        }
+    }
+
+    /// Logarithm of how likely it is that a scan was taken where it was found, up to a constant; none where the grid does not tell.
+    fn likely(&self, prior: &MotionPrior, hypothesis: &Hypothesis, scan: &Scan) -> Option<f64> {
+        let pose = hypothesis.found.pose;
+        let agreement = scan_agreement(&scan.submap.grid, &pose, scan.cloud)?;
+        Some(prior.log_posterior(&pose, &agreement, (&self.beam_evidence, scan.witnesses)))
+    }
+}
