@@ -4,6 +4,7 @@ in kitti_0059, the IMU. Prints for each the error in the plane and the exit code
 
     scripts/field_planar.py                         at 0, -1 and 1 degree of elevation, 270 and 180 degrees of view
     scripts/field_planar.py --gaps                  at 0 degrees, without the scans of 0.5 to 3.5 s, at two places each
+    scripts/field_planar.py --faults                at 0 degrees, with odometry of the truth that fails
     scripts/field_planar.py --programs old/portolan target/release/portolan      in turns, side by side
 
 The error is the root mean square of positions after alignment, at the offset in time within 0.12 s at which it is least: of
@@ -20,6 +21,7 @@ from bags import add_connections
 from field import REPOSITORY
 from field_space import RECORDINGS, SPACE, TOOLS, map_recording
 from rosbags.rosbag1 import Reader, Writer
+from slice_space import FAULTS
 
 SLICES = {
     "0 deg": [],
@@ -91,13 +93,17 @@ def main():
     parser.add_argument("--programs", nargs="+", default=[str(REPOSITORY / "target/release/portolan")])
     parser.add_argument("--drives", nargs="+", default=list(DRIVES), choices=list(DRIVES))
     parser.add_argument("--gaps", action="store_true")
+    parser.add_argument("--faults", action="store_true")
     arguments = parser.parse_args()
     if not SPACE.exists() or not TOOLS.exists():
         sys.exit(f"{SPACE} or {TOOLS} is missing: set PORTOLAN_DATA to the folder of the recordings")
     with tempfile.TemporaryDirectory() as folder:
         bag, cut = pathlib.Path(folder) / "slice.bag", pathlib.Path(folder) / "cut.bag"
         for name in arguments.drives:
-            for what, options in list(SLICES.items())[: 1 if arguments.gaps else None]:
+            slices = SLICES
+            if arguments.faults:
+                slices = {fault: ["--odometry", str(DRIVES[name].truth), "--fault", fault] for fault in FAULTS}
+            for what, options in list(slices.items())[: 1 if arguments.gaps else None]:
                 script = REPOSITORY / "scripts/slice_space.py"
                 source = DRIVES[name].bag(folder)
                 bag.unlink(missing_ok=True)

@@ -14,6 +14,9 @@ Of each sweep the nearest point of every beam is taken, in a fan of some degrees
     --odometry F.tum   odometry of the lidar's own motion in the plane, from these poses
     --scale S          its way is S times as long (1)
     --delay D          its stamps are D seconds late (0)
+    --fault F          it fails: stands (always) | freezes, slips (twice as far), is-missing (each for 2 s from 0.4 of the
+                       recording on) | ends (there) | jumps (5 m ahead, there) | begins-late (2 s) | is-sparse (every tenth pose)
+                       | has-no-turns | turns-backwards | goes-backwards
 
 Turns are taken to be clockwise, at constant speed, with the stamp in their middle, as KITTI's are. Needs rosbags and numpy.
 """
@@ -28,6 +31,10 @@ STORE = get_typestore(Stores.ROS1_NOETIC)
 LIDAR = "sensor_msgs/msg/PointCloud2"
 SCAN = "sensor_msgs/msg/LaserScan"
 ODOMETRY = "nav_msgs/msg/Odometry"
+FAULTS = [
+    "stands", "freezes", "slips", "is-missing", "ends", "jumps", "begins-late", "is-sparse", "has-no-turns", "turns-backwards",
+    "goes-backwards",
+]
 
 
 def coordinates(cloud):
@@ -62,11 +69,43 @@ def scan_of(cloud, period, options):
     return STORE.types[SCAN](header, *angles, increment, period, 0.5, options.range, ranges, np.zeros(0, np.float32))
 
 
-def odometry(poses, scale, delay):
+def with_fault(fault, time, place, yaw):
+    """Times, places and headings of odometry that fails: its steps, as it sees them, are changed and put together again."""
+    since = time - time[0]
+    begin = 0.4 * since[-1]
+    fails = (since >= begin) & (since < begin + 2)
+    turn = (np.diff(yaw) + np.pi) % (2 * np.pi) - np.pi
+    step, before = np.diff(place, axis=0), yaw[:-1]
+    ahead = np.cos(before) * step[:, 0] + np.sin(before) * step[:, 1]
+    left = np.cos(before) * step[:, 1] - np.sin(before) * step[:, 0]
+    if fault in ("stands", "freezes"):
+        moves = 0 if fault == "stands" else ~fails[1:]
+        ahead, left, turn = ahead * moves, left * moves, turn * moves
+    elif fault == "slips":
+        ahead = ahead * (1 + fails[1:])
+    elif fault == "jumps":
+        ahead[np.argmax(fails[1:])] += 5
+    elif fault == "has-no-turns":
+        turn = 0 * turn
+    elif fault == "turns-backwards":
+        left, turn = -left, -turn
+    elif fault == "goes-backwards":
+        ahead, left = -ahead, -left
+    angle = yaw[0] + np.concatenate([[0], np.cumsum(turn)])
+    cos, sin = np.cos(angle[:-1]), np.sin(angle[:-1])
+    steps = np.stack([cos * ahead - sin * left, sin * ahead + cos * left], 1)
+    kept = {"is-missing": ~fails, "ends": since < begin, "begins-late": since >= 2, "is-sparse": np.arange(len(time)) % 10 == 0}
+    kept = kept.get(fault, np.full(len(time), True))
+    return time[kept], np.concatenate([[[0, 0]], np.cumsum(steps, 0)])[kept], angle[kept]
+
+
+def odometry(poses, scale, delay, fault):
     """Messages made of poses (time, x, y, z, quaternion), in order of their stamps."""
     time, x, y, z, w = poses[:, 0] + delay, *poses[:, 4:8].T
     yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     place = scale * (poses[:, 1:3] - poses[0, 1:3])
+    if fault:
+        time, place, yaw = with_fault(fault, time, place, yaw)
     types = STORE.types
     none = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
     twist = types["geometry_msgs/msg/TwistWithCovariance"](types["geometry_msgs/msg/Twist"](none, none), np.zeros(36))
@@ -95,6 +134,7 @@ def main():
     parser.add_argument("--odometry")
     parser.add_argument("--scale", type=float, default=1.0)
     parser.add_argument("--delay", type=float, default=0.0)
+    parser.add_argument("--fault", choices=FAULTS)
     options = parser.parse_args()
     with Reader(options.bag) as reader, Writer(options.out) as writer:
         clouds = [m for m in reader.messages() if m[0].msgtype == LIDAR]
@@ -105,7 +145,7 @@ def main():
         waiting = []
         if options.odometry:
             odom = writer.add_connection("/odom", ODOMETRY, typestore=STORE)
-            waiting = list(odometry(np.loadtxt(options.odometry), options.scale, options.delay))
+            waiting = list(odometry(np.loadtxt(options.odometry), options.scale, options.delay, options.fault))
         for connection, time, data in reader.messages():
             while waiting and waiting[0][0] * 1e9 <= time:
                 stamp, message = waiting.pop(0)
@@ -117,4 +157,5 @@ def main():
                 writer.write(added[connection.id], time, data)
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -6,9 +6,11 @@
 //! Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching coefficients", IEEE
 //! Transactions on Automatic Control 33, 1988).
 
-use portolan_geometry::Rigid2;
+use portolan_geometry::{Rigid2, normalize_angle};
 
-use super::motion::{ACCELERATION, ANGULAR_ACCELERATION, FASTEST, LONGEST_MEASURED, Motion};
+use super::motion::{
+    ACCELERATION, ANGULAR_ACCELERATION, FASTEST, LONGEST_MEASURED, Motion, reached_by_acceleration,
+};
 use super::posterior::{MotionPrior, anywhere_density, normal_density};
 use super::prediction_error::PredictionSigmas;
 
@@ -16,13 +18,17 @@ use super::prediction_error::PredictionSigmas;
 const BEGINS: f64 = 0.003;
 /// … that a failure lasts until the next one …
 const LASTS: f64 = 0.95;
-/// … and that the velocity changes at once.
+/// … that the velocity changes at once, as when it is pushed …
 const CHANGES: f64 = 0.003;
+/// … and by more than anything accelerates: only where it is hit.
+const IS_HIT: f64 = 3e-6;
 /// Odometry that fails stands still with this probability, slips with this one, else it reads anything.
 const STANDS: f64 = 0.5;
 const SLIPS: f64 = 0.25;
 /// Standard deviations of what wheels that slip measure, metres and radians.
 const OF_SLIPS: PredictionSigmas = PredictionSigmas { translation: 0.3, rotation: 0.3 };
+/// Errors are within so many standard deviations.
+const WITHIN_SIGMAS: f64 = 3.0;
 /// A failure less probable than this is not followed.
 const IMPROBABLE: f64 = 0.03;
 /// Standard deviations of the motion between two matched scans, metres and radians.
@@ -97,6 +103,23 @@ impl OdometryFailure {
     /// where it is improbable or nothing is known of the velocity.
     pub fn add_measured(&mut self, motion: Motion, measured: &MotionPrior) -> Option<(MotionPrior, f64)> {
         self.unfollowed = None;
+        let expected = self.expected(motion, measured)?;
+        let Expected { fails, log_odds, .. } = expected;
+        self.failing = after(log_odds);
+        if probability(log_odds) > IMPROBABLE {
+            return Some((fails, log_odds));
+        }
+        self.unfollowed = Some(expected);
+        None
+    }
+
+    /// Where the scanner is if what odometry measured says, before a scan is looked at, that it rather fails than works.
+    pub fn suspected(&self, motion: Motion, measured: &MotionPrior) -> Option<Rigid2> {
+        let expected = self.expected(motion, measured)?;
+        (expected.log_odds > 0.0).then_some(expected.fails.prediction)
+    }
+
+    fn expected(&self, motion: Motion, measured: &MotionPrior) -> Option<Expected> {
         let LastMotion { moved, seconds, open } = self.last?;
         if !motion.is_measured() || motion.seconds > LONGEST_MEASURED {
             return None;
@@ -123,15 +146,14 @@ impl OdometryFailure {
         let slips = normal_density(&(prediction.inverse() * measured.prediction), slip);
         let anything =
             STANDS * beside(motion.last) + SLIPS * slips + (1.0 - STANDS - SLIPS) * anywhere_density();
-        let works = (1.0 - CHANGES) * beside(prediction) + CHANGES * anything;
+        let change = prediction.inverse() * measured.prediction;
+        let reach = reached_by_acceleration(motion.seconds);
+        let is_possible = change.translation.norm() <= reach.linear + WITHIN_SIGMAS * both.translation
+            && normalize_angle(change.angle).abs() <= reach.angular + WITHIN_SIGMAS * both.rotation;
+        let changes = if is_possible { CHANGES } else { IS_HIT };
+        let works = (1.0 - changes) * beside(prediction) + changes * anything;
         let log_odds = (self.failing / (1.0 - self.failing)).ln() + (anything / works).ln();
-        self.failing = after(log_odds);
-        let fails = MotionPrior { prediction, sigmas };
-        if probability(log_odds) > IMPROBABLE {
-            return Some((fails, log_odds));
-        }
-        self.unfollowed = Some(Expected { works: *measured, fails, log_odds });
-        None
+        Some(Expected { works: *measured, fails: MotionPrior { prediction, sigmas }, log_odds })
     }
 
     /// Whether odometry fails, with the logarithm of the odds of that before the scan was looked at, and after.
@@ -184,6 +206,18 @@ mod tests {
         // The scanner slows down: both models are followed although they agree nearly.
         let (_, log_odds) = measured(&mut failure, 0.05, 0.0).expect("failures last");
         assert!(log_odds > 1.0, "{log_odds}");
+    }
+
+    #[test]
+    fn nothing_stops_at_once_at_the_speed_of_a_car() {
+        let suspected = |moved: f64, metres: f64| {
+            let mut failure = OdometryFailure::default();
+            failure.add_motion(&Rigid2::new(moved, 0.0, 0.0), SECONDS, Told::Well);
+            let prediction = Rigid2::new(metres, 0.0, 0.0);
+            failure.suspected(Motion::measured(SECONDS), &MotionPrior { prediction, sigmas: SIGMAS })
+        };
+        assert_eq!(suspected(2.6, 0.0).map(|pose| pose.translation.x), Some(2.6));
+        assert_eq!((suspected(2.6, 2.5), suspected(0.25, 0.24), suspected(0.0, 0.1)), (None, None, None));
     }
 
     #[test]

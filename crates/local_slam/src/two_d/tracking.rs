@@ -240,6 +240,11 @@ impl Tracker {
         Found { pose, is_far, agreement }
     }
 
+    /// Where the scan is if odometry, which tells this, rather fails than works.
+    pub fn suspected(&self, told: Rigid2, motion: Motion) -> Option<Rigid2> {
+        self.odometry_failure.suspected(motion, &self.prior(self.predicted(told, &motion, None), motion))
+    }
+
     /// Where the scan is expected, told where odometry, or else the velocity, leads.
     fn predicted(&self, told: Rigid2, motion: &Motion, weak: Option<&WeakDirection>) -> Rigid2 {
         let prediction = match motion.measured {

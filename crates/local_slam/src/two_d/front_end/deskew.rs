@@ -1,4 +1,4 @@
-//! De-skewing of scans whose motion nothing measured.
+//! De-skewing of scans whose motion nothing measured, or odometry that fails.
 //!
 //! The prediction of constant velocity is off by what the robot accelerated since the scan before, and a scan that is de-skewed by it is
 //! bent by that. Where the scan fits tells how far it is off at the end: the scan is de-skewed once more by the constant acceleration
@@ -14,7 +14,8 @@ use super::FrontEnd;
 use crate::filtered;
 
 impl FrontEnd {
-    /// The scan de-skewed by the motion that it shows itself, where nothing measured the motion and that moves its points.
+    /// The scan de-skewed by the motion that it shows itself, where that moves its points and nothing measured the motion, or what
+    /// odometry measured cannot be.
     pub(super) fn deskewed(
         &mut self,
         ranges: &SynchronizedRanges,
@@ -26,7 +27,7 @@ impl FrontEnd {
         let (last_time, last) = extrapolator.last_pose()?;
         let seconds = ranges.time.seconds_since(last_time);
         let measured = Measured::since_last_pose(extrapolator, ranges.time);
-        if !self.tracker.is_adaptive() || measured != Measured::Nothing {
+        if !self.tracker.is_adaptive() || measured == Measured::Rotation {
             return None;
         }
         let options = &self.options;
@@ -35,18 +36,25 @@ impl FrontEnd {
             let last_pose = unwarp(ranges, moving, options, &mut accumulated);
             Some(gravity_aligned(accumulated, &last_pose, &gravity, options))
         };
-        if seconds > LONGEST_UNMEASURED {
+        if measured == Measured::Nothing && seconds > LONGEST_UNMEASURED {
             return by(&mut |_| last);
         }
         let planar = |pose| project_2d(&(pose * gravity.inverse()));
-        let prediction = planar(extrapolator.extrapolate_pose(ranges.time));
-        let returns = &gathered.range_data.returns;
-        let cloud = filtered(returns, &options.adaptive_voxel_filter);
-        self.tracker.note(ranges.time, &prediction, [&cloud, returns]);
-        let scan = Scan::new(&cloud, returns, self.active_submaps.matching_submap()?);
+        let told = planar(extrapolator.extrapolate_pose(ranges.time));
         let tracking_yaw = yaw(&gravity);
         let motion = Motion { last: planar(last), seconds, measured, between_readings: None, tracking_yaw };
-        let error = prediction.inverse() * self.tracker.look(prediction, motion, scan)?;
+        if measured == Measured::Whole {
+            let step = motion.to(&self.tracker.suspected(told, motion)?);
+            return by(&mut |time| {
+                let part = part_of(&step, time.seconds_since(last_time) / seconds);
+                embed_3d(&(motion.last * part)) * gravity
+            });
+        }
+        let returns = &gathered.range_data.returns;
+        let cloud = filtered(returns, &options.adaptive_voxel_filter);
+        self.tracker.note(ranges.time, &told, [&cloud, returns]);
+        let scan = Scan::new(&cloud, returns, self.active_submaps.matching_submap()?);
+        let error = told.inverse() * self.tracker.look(told, motion, scan)?;
         let half_a_cell = 0.5 * f64::from(options.submaps.grid_options_2d.resolution);
         let in_scan = 1.0 - error_share(1.0 + begin / seconds);
         if in_scan * displacement(&error, returns) < half_a_cell {
@@ -59,6 +67,11 @@ impl FrontEnd {
             embed_3d(&with_share(&predicted, &(predicted * error), share)) * gravity
         })
     }
+}
+
+/// A fraction of a motion at constant velocity.
+fn part_of(motion: &Rigid2, share: f64) -> Rigid2 {
+    Rigid2 { translation: motion.translation * share, angle: motion.angle * share }
 }
 
 /// How much of the error of its end a prediction has on the way, at this fraction of an interval as long as the one before, whose mean
