@@ -29,7 +29,7 @@ use portolan_submaps::Submap2d;
 use crate::{InsertionSubmap, LocalSlam, LocalSlamError, MatchingResult, Planar, count_collated};
 pub use belief::refutes_place;
 use front_end::FrontEnd;
-use start::{Held, Role, Start, Velocity};
+use start::{FirstMotion, Held, Role, Start, Velocity};
 
 /// Settings of local SLAM in 2D beyond Cartographer's options.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -74,8 +74,14 @@ impl LocalSlam2d {
 
     /// Goes on with what was held back, with the motion that explains it best.
     fn begin(&mut self) -> Vec<MatchingResult<Planar>> {
-        let (velocity, held) = self.start.decided();
-        self.front_end.set_velocity(velocity);
+        let (motion, held) = self.start.decided();
+        match motion {
+            FirstMotion::Told => {}
+            FirstMotion::Velocity(velocity) => self.front_end.set_velocity(velocity),
+            FirstMotion::InSpiteOfOdometry(velocity) => {
+                self.front_end.set_velocity_in_spite_of_odometry(velocity)
+            }
+        }
         let results = self.hand_on(held);
         self.watch();
         results
@@ -121,9 +127,12 @@ impl LocalSlam<Planar> for LocalSlam2d {
     }
 
     fn add_odometry_data(&mut self, data: &OdometryData) -> Vec<MatchingResult<Planar>> {
-        let held = self.start.close().unwrap_or_default();
-        let mut results = self.hand_on(held);
-        results.extend(self.front_end.add_odometry(data));
+        if self.start.is_open() {
+            self.start.hold(Held::Odometry(*data));
+            return Vec::new();
+        }
+        let results = self.front_end.add_odometry(data);
+        self.watch();
         results
     }
 

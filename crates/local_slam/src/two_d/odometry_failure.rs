@@ -78,6 +78,15 @@ impl Default for OdometryFailure {
 }
 
 impl OdometryFailure {
+    /// Where the scanner moves like this in so many seconds, whatever odometry says.
+    pub fn while_moving(moved: &Rigid2, seconds: f64) -> Self {
+        Self {
+            failing: LASTS,
+            last: Some(LastMotion { moved: *moved, seconds, open: 0.0 }),
+            unfollowed: None,
+        }
+    }
+
     /// Takes where a scan was found that tells it well: odometry that is many standard deviations off there fails, although
     /// what it measured was nothing unusual.
     pub fn add_pose(&mut self, pose: &Rigid2) {

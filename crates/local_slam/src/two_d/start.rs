@@ -1,14 +1,15 @@
-//! How the scanner moves when recording begins, where no odometry tells.
+//! How the scanner moves when recording begins.
 //!
 //! A robot mostly stands then, but a vehicle may be at speed, and one scan says nothing of that. So the first second is held back,
 //! as in 3D: the second scan is looked for as far from the first as anything drives, scans are followed with each of the motions that
-//! this leads to, and the one that explains them best, given how likely it was before, is believed (maximum a posteriori).
+//! this leads to, and the one that explains them best, given how likely it was before, is believed (maximum a posteriori). Where odometry
+//! tells the motion, this is done only if scans speak against it: wheels may not be read at all.
 
 use std::f64::consts::TAU;
 
 use portolan_config::TrajectoryBuilder2dOptions;
 use portolan_geometry::{Duration, Rigid2, Time, Vector2};
-use portolan_sensor::{ImuData, SynchronizedRanges};
+use portolan_sensor::{ImuData, OdometryData, SynchronizedRanges};
 use portolan_submaps::SearchWindow;
 
 use super::LocalSlamExtras;
@@ -50,6 +51,11 @@ const MATCHED: PredictionSigmas = PredictionSigmas { translation: 0.05, rotation
 const AT_SPEED: f64 = 0.1;
 const SLOW: f64 = 0.5;
 
+/// Odometry works at the start so much rather than not, in nats.
+const ODOMETRY_WORKS: f64 = 6.0;
+/// So many poses of odometry before the first scan are kept.
+const ODOMETRY_BEFORE: usize = 2;
+
 /// A velocity in the plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Velocity {
@@ -84,6 +90,7 @@ impl Velocity {
 pub(super) enum Held {
     Ranges(SynchronizedRanges),
     Imu(ImuData),
+    Odometry(OdometryData),
 }
 
 impl Held {
@@ -95,6 +102,7 @@ impl Held {
                 front_end.add_imu(&data);
                 Vec::new()
             }
+            Self::Odometry(data) => front_end.add_odometry(&data),
         }
     }
 }
@@ -178,6 +186,17 @@ fn log_likelihood(prediction: Rigid2, found: &Found, motion: Motion, scan: &Scan
     prior.log_density(&found.pose) + beams
 }
 
+/// What is believed of the motion when recording begins.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum FirstMotion {
+    /// Odometry tells it.
+    Told,
+    /// Nothing measured it.
+    Velocity(Velocity),
+    /// Odometry tells it, but fails.
+    InSpiteOfOdometry(Velocity),
+}
+
 /// Whether measurements are held back until the motion at the start is known.
 pub(super) struct Start {
     options: TrajectoryBuilder2dOptions,
@@ -188,7 +207,7 @@ pub(super) struct Start {
 enum Phase {
     /// Held back meanwhile.
     Open(Vec<Held>),
-    /// The motion is known, or odometry tells it.
+    /// The motion is known.
     Closed,
 }
 
@@ -203,11 +222,18 @@ impl Start {
         matches!(self.phase, Phase::Open(_))
     }
 
-    /// Holds back a measurement.
+    /// Holds back a measurement. Before the first scan the newest odometry alone tells something of it.
     pub fn hold(&mut self, measurement: Held) {
-        if let Phase::Open(held) = &mut self.phase {
-            held.push(measurement);
+        let Phase::Open(held) = &mut self.phase else { return };
+        let is_odometry = |held: &Held| matches!(held, Held::Odometry(_));
+        if is_odometry(&measurement) && !held.iter().any(|held| matches!(held, Held::Ranges(_))) {
+            let oldest = held.iter().position(is_odometry);
+            let poses = held.iter().filter(|held| is_odometry(held)).count();
+            if let (Some(oldest), ODOMETRY_BEFORE..) = (oldest, poses) {
+                held.remove(oldest);
+            }
         }
+        held.push(measurement);
     }
 
     /// Whether enough is held back.
@@ -227,7 +253,7 @@ impl Start {
     fn scan_times(&self) -> Vec<Time> {
         let ranges = |held: &Held| match held {
             Held::Ranges(ranges) => Some(ranges.time),
-            Held::Imu(_) => None,
+            Held::Imu(_) | Held::Odometry(_) => None,
         };
         self.held().iter().filter_map(ranges).collect()
     }
@@ -235,13 +261,13 @@ impl Start {
     fn points(&self) -> usize {
         let points = |held: &Held| match held {
             Held::Ranges(ranges) => ranges.points.len(),
-            Held::Imu(_) => 0,
+            Held::Imu(_) | Held::Odometry(_) => 0,
         };
         self.held().iter().map(points).sum()
     }
 
-    /// Odometry tells the motion: gives back what was held, if anything was to be.
-    pub fn close(&mut self) -> Option<Vec<Held>> {
+    /// Gives back what was held, if anything was to be.
+    fn close(&mut self) -> Option<Vec<Held>> {
         match std::mem::replace(&mut self.phase, Phase::Closed) {
             Phase::Open(held) => Some(held),
             Phase::Closed => None,
@@ -254,61 +280,81 @@ impl Start {
     }
 
     /// The motion that explains best what was held back, and that.
-    pub fn decided(&mut self) -> (Velocity, Vec<Held>) {
-        let velocity = self.likeliest();
-        (velocity, self.close().unwrap_or_default())
+    pub fn decided(&mut self) -> (FirstMotion, Vec<Held>) {
+        let motion = self.likeliest();
+        (motion, self.close().unwrap_or_default())
     }
 
-    fn likeliest(&self) -> Velocity {
+    fn likeliest(&self) -> FirstMotion {
         let times = self.scan_times();
         let still = Velocity::default();
+        let has_odometry = self.held().iter().any(|held| matches!(held, Held::Odometry(_)));
+        let mut motion = if has_odometry { FirstMotion::Told } else { FirstMotion::Velocity(still) };
         if times.len() < FEWEST_SCANS || is_sparse(&times) {
-            return still;
+            return motion;
         }
-        let mut best = self.judged(still, &[]);
-        let mut velocity = still;
+        let mut best = self.judged(still, &[], has_odometry);
+        if has_odometry && best.last() > Some(&0.0) {
+            return motion;
+        }
+        if let (true, Some(likely)) = (has_odometry, best.last_mut()) {
+            *likely += ODOMETRY_WORKS;
+        }
         for proposed in self.proposed() {
-            let other = self.judged(proposed, &best);
+            let other = self.judged(proposed, &best, false);
             // Beams say whether a pose is right rather than wrong: a motion that they speak against is none.
             if other.len() >= best.len() && other.last() > best.last() && other.last() > Some(&0.0) {
-                (best, velocity) = (other, proposed);
+                best = other;
+                motion = match has_odometry {
+                    true => FirstMotion::InSpiteOfOdometry(proposed),
+                    false => FirstMotion::Velocity(proposed),
+                };
             }
         }
-        velocity
+        motion
     }
 
     /// The motions that the first two scans may show.
     fn proposed(&self) -> Vec<Velocity> {
         let found = |role: &Role| matches!(role, Role::Proposing(found) if !found.is_empty());
-        match self.followed(Velocity::default(), Role::Proposing(Vec::new()), found) {
+        match self.followed(Velocity::default(), Role::Proposing(Vec::new()), found, false) {
             Some(Role::Proposing(proposed)) => proposed,
             _ => Vec::new(),
         }
     }
 
     /// How likely all is with a motion, after each scan, as long as it is not much less likely than with another one.
-    fn judged(&self, velocity: Velocity, best: &[f64]) -> Vec<f64> {
+    fn judged(&self, velocity: Velocity, best: &[f64], with_odometry: bool) -> Vec<f64> {
         let is_given_up = |role: &Role| {
             let Role::Judged(likely) = role else { return true };
             let other = best.get(likely.len().wrapping_sub(1));
             likely.len() > SCANS_BEFORE_GIVEN_UP
                 && likely.last() < other.map(|other| other - GIVEN_UP).as_ref()
         };
-        match self.followed(velocity, Role::Judged(vec![velocity.log_prior()]), is_given_up) {
+        let role = Role::Judged(vec![velocity.log_prior()]);
+        match self.followed(velocity, role, is_given_up, with_odometry) {
             Some(Role::Judged(likely)) => likely,
             _ => Vec::new(),
         }
     }
 
     /// What becomes of a front end in a role that takes what is held back, until it has done enough.
-    fn followed(&self, velocity: Velocity, role: Role, is_enough: impl Fn(&Role) -> bool) -> Option<Role> {
+    fn followed(
+        &self,
+        velocity: Velocity,
+        role: Role,
+        is_enough: impl Fn(&Role) -> bool,
+        with_odometry: bool,
+    ) -> Option<Role> {
         let mut front_end = FrontEnd::new(&self.options, self.extras, velocity, role).ok()?;
-        for measurement in self.held() {
+        let is_used = |held: &&Held| with_odometry || !matches!(held, Held::Odometry(_));
+        for measurement in self.held().iter().filter(is_used) {
             measurement.clone().given_to(&mut front_end);
             if is_enough(&front_end.role) {
-                break;
+                return Some(front_end.role);
             }
         }
+        front_end.flush();
         Some(front_end.role)
     }
 }

@@ -103,6 +103,11 @@ impl Tracker {
         self.beam_evidence = BeamEvidence::default();
     }
 
+    /// The scanner moves like this in so many seconds: if odometry says otherwise it fails.
+    pub fn odometry_contradicts(&mut self, moved: &Rigid2, seconds: f64) {
+        self.odometry_failure = OdometryFailure::while_moving(moved, seconds);
+    }
+
     /// Looks for no scan farther from its prediction.
     pub fn limit_to(&mut self, window: SearchWindow) {
         self.limit = Some(window);

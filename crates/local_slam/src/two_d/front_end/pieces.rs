@@ -71,6 +71,12 @@ impl FrontEnd {
         std::mem::take(&mut self.has_begun_anew)
     }
 
+    /// The same where odometry says otherwise, and fails.
+    pub fn set_velocity_in_spite_of_odometry(&mut self, velocity: Velocity) {
+        self.tracker.odometry_contradicts(&velocity.motion(SHORTLY), SHORTLY);
+        self.set_velocity(velocity);
+    }
+
     /// Says how the scanner moves when it begins, seen from where it begins, or, where it has, from the last pose.
     pub fn set_velocity(&mut self, velocity: Velocity) {
         self.start_velocity = velocity;
