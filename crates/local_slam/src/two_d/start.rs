@@ -53,8 +53,6 @@ const SLOW: f64 = 0.5;
 
 /// Odometry works at the start so much rather than not, in nats.
 const ODOMETRY_WORKS: f64 = 6.0;
-/// So many poses of odometry before the first scan are kept.
-const ODOMETRY_BEFORE: usize = 2;
 
 /// A velocity in the plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -202,6 +200,8 @@ pub(super) struct Start {
     options: TrajectoryBuilder2dOptions,
     extras: LocalSlamExtras,
     phase: Phase,
+    /// Whether a scan is held back.
+    has_scans: bool,
 }
 
 enum Phase {
@@ -215,24 +215,25 @@ impl Start {
     /// Before anything was measured. A front end that searches as far as its options say searches no farther at the start.
     pub fn new(options: &TrajectoryBuilder2dOptions, extras: LocalSlamExtras, is_adaptive: bool) -> Self {
         let phase = if is_adaptive { Phase::Open(Vec::new()) } else { Phase::Closed };
-        Self { options: options.clone(), extras, phase }
+        Self { options: options.clone(), extras, phase, has_scans: false }
     }
 
     pub fn is_open(&self) -> bool {
         matches!(self.phase, Phase::Open(_))
     }
 
-    /// Holds back a measurement. Before the first scan the newest odometry alone tells something of it.
+    /// Holds back a measurement; of odometry before the first scan the two newest poses: more tells nothing of it.
     pub fn hold(&mut self, measurement: Held) {
         let Phase::Open(held) = &mut self.phase else { return };
         let is_odometry = |held: &Held| matches!(held, Held::Odometry(_));
-        if is_odometry(&measurement) && !held.iter().any(|held| matches!(held, Held::Ranges(_))) {
-            let oldest = held.iter().position(is_odometry);
-            let poses = held.iter().filter(|held| is_odometry(held)).count();
-            if let (Some(oldest), ODOMETRY_BEFORE..) = (oldest, poses) {
-                held.remove(oldest);
+        if is_odometry(&measurement) && !self.has_scans {
+            // Both are near the end, whatever came before.
+            let newest = held.iter().rposition(is_odometry).unwrap_or(0);
+            if let Some(older) = held.iter().take(newest).rposition(is_odometry) {
+                held.remove(older);
             }
         }
+        self.has_scans |= matches!(measurement, Held::Ranges(_));
         held.push(measurement);
     }
 
@@ -277,6 +278,7 @@ impl Start {
     /// Nothing tells the motion any more.
     pub fn reopen(&mut self) {
         self.phase = Phase::Open(Vec::new());
+        self.has_scans = false;
     }
 
     /// The motion that explains best what was held back, and that.
@@ -431,6 +433,22 @@ mod tests {
             let (way, scans) = followed(speed);
             assert!((way - 2.0 * speed).abs() < 0.1 && scans == 21, "{speed} m/s: {way} m, {scans} scans");
         }
+    }
+
+    #[test]
+    fn of_odometry_before_the_first_scan_two_poses_are_held() {
+        let options = Options::for_2d().trajectory_builder.trajectory_builder_2d;
+        let mut start = Start::new(&options, LocalSlamExtras::default(), true);
+        for i in 0..10 {
+            let odom_from_tracking = portolan_geometry::Rigid3::identity();
+            start.hold(Held::Odometry(OdometryData { time: Time::from_ticks(i), odom_from_tracking }));
+        }
+        let times = |held: &Held| match held {
+            Held::Odometry(data) => data.time,
+            Held::Ranges(_) | Held::Imu(_) => panic!("nothing else was held"),
+        };
+        let held: Vec<Time> = start.held().iter().map(times).collect();
+        assert_eq!(held, [Time::from_ticks(8), Time::from_ticks(9)]);
     }
 
     #[test]
