@@ -7,8 +7,9 @@ use serde::Serialize;
 
 use portolan_atomic_file::{AtomicFile, ResultFolder};
 pub use portolan_numeric::counted;
+use portolan_pbstream::Finding;
 
-use crate::error::CliError;
+use crate::error::{CliError, Outcome};
 use crate::progress::say;
 
 /// Prints what was asked for; a line feed follows unless it ends with one.
@@ -28,6 +29,18 @@ pub fn print_bytes(bytes: &[u8]) -> Result<(), CliError> {
     let mut out = std::io::stdout().lock();
     out.write_all(bytes)?;
     Ok(out.flush()?)
+}
+
+/// What a run has come to that wrote a map with this damage of its sources, which is told.
+pub fn outcome_of_map(output: &Path, damage: &[Finding]) -> Outcome {
+    let Some(first) = damage.first() else { return Outcome::Done };
+    let count: u64 = damage.iter().map(|finding| finding.count).sum();
+    let more = if count > 1 { format!(" (and {} more)", count - 1) } else { String::new() };
+    say(&format!(
+        "{}: as damaged as what it was made from: {first}{more}; `portolan repair` leaves out what is broken",
+        output.display()
+    ));
+    Outcome::DataLost
 }
 
 /// Prints what was done where the results are files: they are there, whether or not anybody reads this.

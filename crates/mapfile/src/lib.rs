@@ -19,6 +19,7 @@ mod ros_map;
 mod salvage;
 mod texture;
 mod texture_3d;
+mod written;
 
 pub use convert::{
     FileWork, FrozenTrajectories, LoadedMap, LoadedTrajectories, MapConversionError, MapLoadSettings,

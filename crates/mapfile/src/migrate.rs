@@ -20,10 +20,12 @@ use portolan_pbstream::proto::mapping::{
     AllTrajectoryBuilderOptions, Node, PoseGraph, SerializedData, Submap, Submap3D,
 };
 use portolan_pbstream::proto::transform::Quaterniond;
-use portolan_pbstream::{FORMAT_VERSION, PbstreamWriter};
+use portolan_pbstream::{FORMAT_VERSION, Finding, PbstreamWriter};
 use portolan_pbstream::{IdInFile, node_id, pose_from_proto, submap_id};
 use portolan_pbstream::{MessageKind, RawMessage, decode_data};
 use portolan_pbstream::{PbstreamReader, ReadLimits, must_be_a_file};
+
+use crate::written::damage_of;
 
 /// How to migrate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,7 +43,7 @@ impl Default for MigrateOptions {
 }
 
 /// What was done.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct MigrateReport {
     /// Version of the input.
     pub from_version: u32,
@@ -51,6 +53,9 @@ pub struct MigrateReport {
     pub unfinished_submaps: u64,
     /// Messages written.
     pub messages: u64,
+    /// What is wrong with what was written, because it was wrong with its source.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub damage: Vec<Finding>,
 }
 
 /// Why a map cannot be migrated.
@@ -104,6 +109,7 @@ pub fn migrate(input: &Path, output: &Path, options: MigrateOptions) -> Result<M
     }
     report.messages = writer.messages();
     writer.finish()?;
+    report.damage = damage_of(output, options.limits);
     Ok(report)
 }
 

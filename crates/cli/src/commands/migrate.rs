@@ -7,7 +7,7 @@ use portolan_pbstream::PbstreamError;
 use serde::Serialize;
 
 use crate::error::{CliError, Outcome};
-use crate::output::{counted, print_json, print_summary};
+use crate::output::{counted, outcome_of_map, print_json, print_summary};
 
 /// Convert a map (.pbstream) of format version 1 to version 2.
 ///
@@ -43,8 +43,9 @@ pub fn run(args: &MigrateArgs) -> Result<Outcome, CliError> {
     })?;
     let output = args.new.display().to_string();
     if args.json {
-        print_json(&Report { output, report })?;
-        return Ok(Outcome::Done);
+        let report = Report { output, report };
+        print_json(&report)?;
+        return Ok(outcome_of_map(&args.new, &report.report.damage));
     }
     let mut text = format!(
         "version {} to 2: {} written, {} got a histogram\n",
@@ -59,5 +60,5 @@ pub fn run(args: &MigrateArgs) -> Result<Outcome, CliError> {
         );
     }
     print_summary(&(text + &output));
-    Ok(Outcome::Done)
+    Ok(outcome_of_map(&args.new, &report.damage))
 }

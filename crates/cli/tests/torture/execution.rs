@@ -5,6 +5,7 @@ use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
+use crate::results;
 use crate::samples::Sample;
 use crate::settings::Settings;
 use crate::verbs::Verb;
@@ -50,7 +51,9 @@ impl Execution<'_> {
         });
         let status = wait(&mut child);
         let said = said.join().unwrap();
-        match self.fault(status, &said, folder.path(), &temporary) {
+        let is_done = status.and_then(|status| status.code()) == Some(0);
+        let fault = self.fault(status, &said, folder.path(), &temporary);
+        match fault.or_else(|| results::fault(&settings.program, folder.path(), is_done)) {
             None => Verdict::Right,
             Some(fault) => Verdict::Wrong(self.describe(&fault, &said, settings)),
         }

@@ -1,6 +1,6 @@
 //! `portolan-torture`: files of every format, damaged with knowledge of their records, given to every verb that takes
 //! them, under limits of time and memory. Whatever comes, the program ends by itself, with a code of its table, with a
-//! sentence where it failed, and without a temporary file or half a result.
+//! sentence where it failed, and without a temporary file or half a result; and what it wrote is whole and readable.
 //!
 //! In CI a few hundred cases run. More, reproducible by seed:
 //!
@@ -18,6 +18,7 @@ mod common;
 
 mod execution;
 mod kills;
+mod results;
 mod resumes;
 mod samples;
 mod settings;

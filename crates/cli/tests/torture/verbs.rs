@@ -39,6 +39,9 @@ pub fn taking(kind: Kind) -> &'static [Verb] {
             &["evaluate", "trajectory", "FILE", "TUM"],
             &["map", "BAG", "--from", "FILE", "-o", "OUT", "--duration", "1"],
             &["localize", "FILE", "BAG", "-o", "OUT", "--duration", "1"],
+            &["localize", "FILE", "BAG", "-o", "OUT", "--duration", "1", "--save-map", "OUT.pbstream"],
+            &["localize", "FILE", "BAG", "-o", "OUT", "--duration", "1", "--update", "OUT.pbstream"],
+            &["refine", "--recording", "BAG", "--trajectory", "FILE", "-o", "OUT"],
         ],
         Kind::Graph => &[
             &["optimize", "FILE", "-o", "OUT.g2o"],
@@ -53,6 +56,7 @@ pub fn taking(kind: Kind) -> &'static [Verb] {
             &["evaluate", "trajectory", "FILE", "TUM", "--rpe", "1"],
             &["evaluate", "trajectory", "TUM", "FILE"],
             &["evaluate", "cloud", "BAG", "FILE"],
+            &["refine", "--recording", "BAG", "--trajectory", "FILE", "-o", "OUT"],
             &["check", "FILE"],
         ],
         Kind::Relations => &[&["evaluate", "relations", "TUM", "FILE"], &["info", "FILE"]],

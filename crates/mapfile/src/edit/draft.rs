@@ -17,11 +17,13 @@ use portolan_pbstream::MapReader;
 use portolan_pbstream::PbstreamWriter;
 use portolan_pbstream::proto::mapping::serialized_data::Data;
 use portolan_pbstream::proto::mapping::{PoseGraph, Trajectory};
+use portolan_pbstream::{Finding, ReadLimits, must_be_a_file};
 use portolan_pbstream::{IdInFile, pose_from_proto};
-use portolan_pbstream::{ReadLimits, must_be_a_file};
+
+use crate::written::damage_of;
 
 /// What editing did.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct EditReport {
     /// Trajectories taken out.
     pub trajectories_removed: u64,
@@ -39,6 +41,9 @@ pub struct EditReport {
     pub sensor_messages_removed: u64,
     /// Messages written.
     pub messages: u64,
+    /// What is wrong with what was written, because it was wrong with its sources.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub damage: Vec<Finding>,
 }
 
 /// A file that submaps, nodes and measurements come from.
@@ -204,8 +209,8 @@ impl MapDraft {
     }
 
     /// What was done so far.
-    pub fn report(&self) -> EditReport {
-        self.report
+    pub fn report(&self) -> &EditReport {
+        &self.report
     }
 
     /// Moves the whole map: a point at `p` in the old global map is at `new_from_old · p` afterwards.
@@ -266,6 +271,7 @@ impl MapDraft {
         self.report.sensor_messages_removed += rest.sensor_messages_removed;
         self.report.messages = writer.messages();
         writer.finish().map_err(failed)?;
+        self.report.damage = damage_of(output, self.limits);
         Ok(self.report)
     }
 

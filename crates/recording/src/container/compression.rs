@@ -47,7 +47,12 @@ const ALWAYS_ALLOWED: u64 = 64 << 20;
 /// More than this is not decompressed from `packed_bytes`, whatever the file says: a few bytes must not take all
 /// memory.
 pub(crate) fn most_unpacked(packed_bytes: u64) -> u64 {
-    packed_bytes.saturating_mul(MAX_RATIO).max(ALWAYS_ALLOWED)
+    usual_unpacked(packed_bytes).max(ALWAYS_ALLOWED)
+}
+
+/// More than this does not come out of data of sensors.
+pub(crate) fn usual_unpacked(packed_bytes: u64) -> u64 {
+    packed_bytes.saturating_mul(MAX_RATIO)
 }
 
 /// Decompresses chunks; keeps its memory for the next.

@@ -4,7 +4,7 @@
 //! of their connections lie in chunks, each followed by an index of its messages; an index of the chunks
 //! ends the file.
 
-mod record;
+pub(crate) mod record;
 mod scan;
 mod tail;
 mod writer;

@@ -10,10 +10,9 @@ use super::record::{BagFormat, Head, Op, parse_head, peek_head};
 use super::tail::{Tail, TailState, parse_connection, read_connection};
 use crate::RecordingError;
 use crate::container::{
-    ChunkIndex, Compression, Content, FileBytes, LooseRun, MAX_SEGMENT_BYTES, RecordFormat, Segment,
-    SegmentLoader, walk,
+    ChunkIndex, ChunkInspector, Compression, FileBytes, LooseRun, MAX_SEGMENT_BYTES, RecordFormat, Segment,
 };
-use portolan_issue::{IssueKind, IssueLog};
+use portolan_issue::IssueKind;
 
 /// Finds everything between `start` and the index.
 pub(crate) fn scan(file: &mut FileBytes, start: u64, tail: Tail) -> Result<ChunkIndex, RecordingError> {
@@ -24,6 +23,7 @@ pub(crate) fn scan(file: &mut FileBytes, start: u64, tail: Tail) -> Result<Chunk
         chunks_end: tail.chunks_end,
         loose: LooseRun::default(),
         pending: None,
+        inspector: ChunkInspector::default(),
         visited_chunks: 0,
     };
     match tail.state {
@@ -46,6 +46,7 @@ struct Scan<'a> {
     chunks_end: u64,
     loose: LooseRun,
     pending: Option<PendingChunk>,
+    inspector: ChunkInspector,
     visited_chunks: usize,
 }
 
@@ -220,35 +221,18 @@ impl Scan<'_> {
     }
 
     fn look_inside(&mut self, pending: &mut PendingChunk) -> Result<(), RecordingError> {
-        let mut data = Vec::new();
-        let segment = &mut pending.segment;
-        let mut damage = IssueLog::default();
-        SegmentLoader::default().load(segment, self.file, &mut data, &mut damage)?;
-        pending.counts.clear();
-        (segment.first, segment.last) = (u64::MAX, 0);
-        let connections = &mut self.index.connections;
-        let gaps = walk(&BagFormat, &data, |record| match record.content {
-            Content::Message { connection, nanoseconds, .. } => {
-                segment.first = segment.first.min(nanoseconds);
-                segment.last = segment.last.max(nanoseconds);
-                *pending.counts.entry(connection).or_default() += 1;
+        let ChunkIndex { connections, issues, .. } = &mut self.index;
+        let describe = |bytes: &[u8]| {
+            let described = parse_head(bytes).and_then(|head| {
+                let connection = parse_connection(&head.topic, bytes.get(head.data_start as usize..)?)?;
+                Some((head.connection, connection))
+            });
+            if let Some((id, connection)) = described {
+                connections.entry(id).or_insert(connection);
             }
-            Content::Description(range) => {
-                let Some(bytes) = data.get(range) else { return };
-                let described = parse_head(bytes).and_then(|head| {
-                    let connection = parse_connection(&head.topic, bytes.get(head.data_start as usize..)?)?;
-                    Some((head.connection, connection))
-                });
-                if let Some((id, connection)) = described {
-                    connections.entry(id).or_insert(connection);
-                }
-            }
-            Content::Other => {}
-        });
-        // Otherwise the pass that reads the chunk counts what is wrong with it.
-        if pending.counts.is_empty() && (gaps > 0 || !damage.list().is_empty()) {
-            self.index.issues.add(IssueKind::UnreadableChunk);
-        }
+        };
+        pending.counts =
+            self.inspector.inspect(&mut pending.segment, self.file, &BagFormat, issues, describe)?;
         Ok(())
     }
 

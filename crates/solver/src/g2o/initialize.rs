@@ -21,6 +21,18 @@ pub enum Initialization {
     RotationsFirst,
 }
 
+impl std::fmt::Display for Initialization {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Automatic => "the best start of several",
+            Self::FromFile => "poses of the file",
+            Self::Odometry => "along consecutive poses",
+            Self::SpanningTree => "along a spanning tree",
+            Self::RotationsFirst => "rotations first",
+        })
+    }
+}
+
 impl Initialization {
     /// What is tried, in this order; the earlier wins a tie.
     pub(super) fn candidates(&self) -> &[Self] {

@@ -59,20 +59,23 @@ impl Report {
     pub fn text(&self, graph: &Graph) -> String {
         let dimension = if matches!(graph, Graph::Planar(_)) { "in 2D" } else { "in 3D" };
         let mut text = format!(
-            "{} poses {dimension}, {} edges, {}\n",
-            graph.vertex_count(),
-            graph.edge_count(),
+            "{} {dimension}, {}, {}\n",
+            counted(graph.vertex_count() as u64, "pose", "poses"),
+            counted(graph.edge_count() as u64, "edge", "edges"),
             counted(self.components as u64, "part", "parts")
         );
         text += &format!("chi2 of the file     {:.6}\n", self.chi2_before);
-        text += &format!("chi2 at the start    {:.6} ({:?})\n", self.chi2_initialized, self.initialization);
+        text += &format!("chi2 at the start    {:.6} ({})\n", self.chi2_initialized, self.initialization);
         text += &format!("chi2 after           {:.6} (redundancy {})\n", self.chi2_after, self.redundancy());
-        text += &format!("{} iterations, {:?}\n", self.iterations, self.termination);
+        let iterations = counted(self.iterations as u64, "iteration", "iterations");
+        text += &format!("{iterations}: {}\n", self.termination);
         if self.repaired_information > 0 {
-            text += &format!(
-                "{} information matrices were indefinite: negative eigenvalues taken as zero\n",
-                self.repaired_information
+            let matrices = counted(
+                self.repaired_information as u64,
+                "information matrix was",
+                "information matrices were",
             );
+            text += &format!("{matrices} indefinite: negative eigenvalues taken as zero\n");
         }
         if let Some(condition) = self.condition {
             text += &format!("condition            {condition:.3e}\n");

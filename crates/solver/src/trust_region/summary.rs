@@ -21,6 +21,21 @@ pub enum Termination {
     EvaluationFailed,
 }
 
+impl std::fmt::Display for Termination {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::FunctionTolerance => "the cost hardly changes any more",
+            Self::GradientTolerance => "the gradient vanishes",
+            Self::ParameterTolerance => "the poses hardly change any more",
+            Self::TrustRegionTooSmall => "no direction lowers the cost",
+            Self::MaxIterations => "stopped at the limit: not converged",
+            Self::Cancelled => "interrupted",
+            Self::InvalidSteps => "failed: the normal equations stay singular",
+            Self::EvaluationFailed => "failed: the cost is not finite",
+        })
+    }
+}
+
 impl Termination {
     /// Whether a minimum was reached as far as the tolerances can tell.
     pub fn is_convergence(self) -> bool {

@@ -10,7 +10,7 @@ use super::ConvertArgs;
 use super::trajectories::{NO_POSES, read_one};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::output::{counted, print_json, print_summary, write_file};
+use crate::output::{counted, outcome_of_map, print_json, print_summary, write_file};
 use crate::progress::say;
 
 /// The constraints of a map.
@@ -61,7 +61,11 @@ fn write(args: &ConvertArgs, graph: &Graph) -> Result<Outcome, CliError> {
     if args.json {
         print_json(&serde_json::json!({ "output": output, "vertices": vertices, "edges": edges }))?;
     } else {
-        print_summary(&format!("{vertices} vertices, {edges} edges\n{output}"));
+        print_summary(&format!(
+            "{}, {}\n{output}",
+            counted(vertices as u64, "vertex", "vertices"),
+            counted(edges as u64, "edge", "edges")
+        ));
     }
     Ok(Outcome::Done)
 }
@@ -77,13 +81,18 @@ pub fn into_map(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Resu
     }
     let mut draft = MapDraft::open(map, ReadLimits::default())?;
     draft.take_graph_poses(&graph)?;
-    let messages = draft.write(&args.output)?.messages;
+    let written = draft.write(&args.output)?;
     let output = args.output.display().to_string();
     if args.json {
         let vertices = graph.vertex_count();
-        print_json(&serde_json::json!({ "output": output, "poses": vertices, "messages": messages }))?;
+        print_json(
+            &serde_json::json!({ "output": output, "poses": vertices, "messages": written.messages }),
+        )?;
     } else {
-        print_summary(&format!("{} poses taken over\n{output}", graph.vertex_count()));
+        print_summary(&format!(
+            "{} taken over\n{output}",
+            counted(graph.vertex_count() as u64, "pose", "poses")
+        ));
     }
-    Ok(Outcome::Done)
+    Ok(outcome_of_map(&args.output, &written.damage))
 }

@@ -16,7 +16,7 @@ use super::format::Format;
 use crate::GlobalArgs;
 use crate::commands::evaluate::input::{read_trajectory_from, tell};
 use crate::error::{CliError, Outcome};
-use crate::output::{counted, print_json, print_summary, write_file};
+use crate::output::{counted, outcome_of_map, print_json, print_summary, write_file};
 use crate::progress::say;
 
 /// What is said of inputs of which nothing can be made.
@@ -82,7 +82,7 @@ pub fn into_map(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Resu
     let poses: Vec<_> = trajectory.poses().iter().map(|p| (p.time, p.map_from_tracking)).collect();
     let mut draft = MapDraft::open(map, ReadLimits::default())?;
     let done = draft.replace_trajectory(id, &poses)?;
-    draft.write(&args.output)?;
+    let damage = draft.write(&args.output)?.damage;
     let output = args.output.display().to_string();
     if args.json {
         print_json(&serde_json::json!({ "output": output, "replaced": done }))?;
@@ -94,7 +94,8 @@ pub fn into_map(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Resu
             counted(done.submaps, "submap", "submaps"),
         ));
     }
-    Ok(if lost_data { Outcome::DataLost } else { Outcome::Done })
+    let written = outcome_of_map(&args.output, &damage);
+    Ok(if lost_data { Outcome::DataLost } else { written })
 }
 
 /// The trajectory of the input, or the one that was asked for.

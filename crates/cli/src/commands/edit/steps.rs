@@ -13,7 +13,7 @@ use super::{EditArgs, LoopArgs, PartArgs, PlaceArgs};
 use crate::GlobalArgs;
 use crate::commands::optimize::{loop_text, optimize_draft, options, summary};
 use crate::error::{CliError, Outcome};
-use crate::output::{counted, print_json, print_summary};
+use crate::output::{counted, outcome_of_map, print_json, print_summary};
 use crate::progress::say;
 
 /// What was done, for programs.
@@ -69,7 +69,7 @@ pub fn run(args: &EditArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     } else {
         print_summary(&report.text());
     }
-    Ok(Outcome::Done)
+    Ok(outcome_of_map(&args.output, &report.edit.damage))
 }
 
 fn choose_parts(draft: &mut MapDraft, args: &PartArgs, global: &GlobalArgs) -> Result<(), CliError> {
@@ -231,16 +231,16 @@ impl Report {
     fn text(&self) -> String {
         let edit = &self.edit;
         let counts = [
-            (edit.trajectories_removed, "trajectories removed"),
-            (edit.submaps_removed, "submaps removed"),
-            (edit.nodes_removed, "nodes removed"),
-            (edit.constraints_removed, "constraints removed"),
-            (edit.constraints_added, "loop closures put in"),
-            (edit.cells_cleared, "cells made unknown"),
-            (edit.sensor_messages_removed, "measurements removed"),
+            (edit.trajectories_removed, "trajectory removed", "trajectories removed"),
+            (edit.submaps_removed, "submap removed", "submaps removed"),
+            (edit.nodes_removed, "node removed", "nodes removed"),
+            (edit.constraints_removed, "constraint removed", "constraints removed"),
+            (edit.constraints_added, "loop closure put in", "loop closures put in"),
+            (edit.cells_cleared, "cell made unknown", "cells made unknown"),
+            (edit.sensor_messages_removed, "measurement removed", "measurements removed"),
         ];
-        let mut text: String =
-            counts.into_iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}\n")).collect();
+        let lines = counts.into_iter().filter(|(n, ..)| *n > 0);
+        let mut text: String = lines.map(|(n, one, several)| counted(n, one, several) + "\n").collect();
         if let Some(optimization) = &self.optimization {
             text += &(summary(optimization) + "\n");
         }
@@ -248,6 +248,6 @@ impl Report {
             text += &format!("rotated by {:.3} degrees\n", self.rotated_degrees);
         }
         text.extend(self.worst_loops.iter().map(loop_text));
-        text + &format!("{} messages written\n{}", edit.messages, self.output)
+        text + &format!("{} written\n{}", counted(edit.messages, "message", "messages"), self.output)
     }
 }

@@ -13,6 +13,7 @@ use serde::Serialize;
 
 use super::describe::{duration, size, utc};
 use crate::error::CliError;
+use crate::output::counted;
 
 /// Summary of a map file.
 #[derive(Serialize)]
@@ -120,12 +121,12 @@ impl MapReport {
 fn grids(info: &MapInfo) -> String {
     let grids = &info.grids;
     let kinds = [
-        (grids.probability_grids, "probability grids"),
-        (grids.tsdfs, "TSDF grids"),
-        (grids.hybrid_grids, "pairs of hybrid grids"),
+        (grids.probability_grids, "probability grid", "probability grids"),
+        (grids.tsdfs, "TSDF grid", "TSDF grids"),
+        (grids.hybrid_grids, "pair of hybrid grids", "pairs of hybrid grids"),
     ];
     let mut parts: Vec<String> =
-        kinds.iter().filter(|(count, _)| *count > 0).map(|(count, kind)| format!("{count} {kind}")).collect();
+        kinds.iter().filter(|kind| kind.0 > 0).map(|(n, one, several)| counted(*n, one, several)).collect();
     if parts.is_empty() {
         parts.push("no grids".to_owned());
     }

@@ -61,12 +61,12 @@ pub(super) fn summary(
     with_harmless: bool,
 ) -> String {
     let mut text = format!(
-        "{} scans matched to {}, {} nodes, {} submaps, {} loop closures; {:.0} s of recording in {seconds:.1} s ({:.0}x real time)\n",
-        mapped.scans,
+        "{} matched to {}, {}, {}, {}; {:.0} s of recording in {seconds:.1} s ({:.0}x real time)\n",
+        counted(mapped.scans, "scan", "scans"),
         mapped.engine,
-        mapped.nodes,
-        mapped.submaps,
-        mapped.loop_closures,
+        counted(mapped.nodes as u64, "node", "nodes"),
+        counted(mapped.submaps as u64, "submap", "submaps"),
+        counted(mapped.loop_closures as u64, "loop closure", "loop closures"),
         mapped.recording_seconds,
         mapped.recording_seconds / seconds.max(1e-3),
     );

@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::{Init, OptimizeArgs};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
-use crate::output::{counted, print_json, print_summary};
+use crate::output::{counted, outcome_of_map, print_json, print_summary};
 use portolan_solver::Loss;
 
 #[derive(Serialize)]
@@ -32,14 +32,14 @@ pub fn run(args: &OptimizeArgs, _: &GlobalArgs) -> Result<Outcome, CliError> {
     let optimization = optimize_draft(&mut draft, &args.set, args.iterations)?;
     let mut worst_loops = draft.loop_residuals();
     worst_loops.truncate(args.worst);
-    draft.write(&args.output)?;
+    let damage = draft.write(&args.output)?.damage;
     let report = Report { output: args.output.display().to_string(), optimization, worst_loops };
     if args.json {
         print_json(&report)?;
     } else {
         print_summary(&report.text());
     }
-    Ok(Outcome::Done)
+    Ok(outcome_of_map(&args.output, &damage))
 }
 
 /// Optimises with [`options`].

@@ -13,10 +13,9 @@ use super::record::{
 use super::summary::{ChunkPlace, Summary, SummaryState};
 use crate::RecordingError;
 use crate::container::{
-    ChunkIndex, Compression, Content, FileBytes, LooseRun, MAX_SEGMENT_BYTES, RecordFormat, Segment,
-    SegmentLoader, walk,
+    ChunkIndex, ChunkInspector, Compression, FileBytes, LooseRun, MAX_SEGMENT_BYTES, RecordFormat, Segment,
 };
-use portolan_issue::{IssueKind, IssueLog};
+use portolan_issue::IssueKind;
 
 /// Enough of a record to see what it is.
 const PEEK_BYTES: usize = 256;
@@ -42,6 +41,7 @@ pub(crate) fn scan(
         trusted,
         loose: LooseRun::default(),
         pending: None,
+        inspector: ChunkInspector::default(),
         visited_chunks: 0,
     };
     match scan.summary.state {
@@ -72,6 +72,7 @@ struct Scan<'a> {
     end: u64,
     loose: LooseRun,
     pending: Option<PendingChunk>,
+    inspector: ChunkInspector,
     visited_chunks: usize,
 }
 
@@ -259,29 +260,12 @@ impl Scan<'_> {
     }
 
     fn look_inside(&mut self, pending: &mut PendingChunk) -> Result<(), RecordingError> {
-        let mut data = Vec::new();
-        let segment = &mut pending.segment;
-        let mut damage = IssueLog::default();
-        SegmentLoader::default().load(segment, self.file, &mut data, &mut damage)?;
-        pending.counts.clear();
-        (segment.first, segment.last) = (u64::MAX, 0);
         let channels = &mut self.summary.channels;
+        let describe = |bytes: &[u8]| _ = channels.add_record(bytes);
         let format = McapFormat { channels: BTreeSet::new() };
-        let gaps = walk(&format, &data, |record| match record.content {
-            Content::Message { connection, nanoseconds, .. } => {
-                segment.first = segment.first.min(nanoseconds);
-                segment.last = segment.last.max(nanoseconds);
-                *pending.counts.entry(connection).or_default() += 1;
-            }
-            Content::Description(range) => {
-                channels.add_record(data.get(range).unwrap_or_default());
-            }
-            Content::Other => {}
-        });
-        // Otherwise the pass that reads the chunk counts what is wrong with it.
-        if pending.counts.is_empty() && (gaps > 0 || !damage.list().is_empty()) {
-            self.index.issues.add(IssueKind::UnreadableChunk);
-        }
+        let issues = &mut self.index.issues;
+        pending.counts =
+            self.inspector.inspect(&mut pending.segment, self.file, &format, issues, describe)?;
         Ok(())
     }
 
