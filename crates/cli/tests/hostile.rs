@@ -1,5 +1,5 @@
 //! Files that once kept the program busy for ever or took all memory: each with the verbs that showed it, under limits
-//! of three times what was measured. And Ctrl-C while a large recording is mapped.
+//! of three times what was measured, on a machine as fast as that was. And Ctrl-C while a large recording is mapped.
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used, clippy::print_stderr)]
 
@@ -7,6 +7,7 @@ use crate::common;
 
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
+use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 use common::{PORTOLAN, real, simulated, text};
@@ -35,9 +36,33 @@ fn spawn(arguments: &[&str]) -> Child {
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
 }
 
+/// What sorting took where the limits were measured, processor seconds.
+const SORTING: f64 = 0.12;
+
+/// By which factor this machine is slower at the moment than the one where limits were measured: machines share processors and
+/// memory with others.
+fn slowness() -> f64 {
+    static SLOWNESS: OnceLock<f64> = OnceLock::new();
+    *SLOWNESS.get_or_init(|| {
+        let mut numbers: Vec<u64> =
+            (1..4_000_000u64).map(|i| i.wrapping_mul(0x9e37_79b9_7f4a_7c15)).collect();
+        let processor_seconds = || stat("thread-self").unwrap().0;
+        let start = processor_seconds();
+        numbers.sort_unstable();
+        std::hint::black_box(&numbers);
+        let slowness = ((processor_seconds() - start) / SORTING).max(1.0);
+        eprintln!("slower by {slowness:.2}");
+        slowness
+    })
+}
+
 /// Processor time so far, seconds, and whether it has ended but for being waited for.
 fn state(child: &Child) -> Option<(f64, bool)> {
-    let stat = std::fs::read_to_string(format!("/proc/{}/stat", child.id())).ok()?;
+    stat(&child.id().to_string())
+}
+
+fn stat(process: &str) -> Option<(f64, bool)> {
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
     let fields: Vec<&str> = stat.rsplit_once(") ")?.1.split_whitespace().collect();
     let ticks = |i: usize| fields.get(i)?.parse::<f64>().ok();
     Some(((ticks(11)? + ticks(12)?) / TICKS, fields.first() == Some(&"Z")))
@@ -71,7 +96,7 @@ fn within(arguments: &[&str], code: i32, processor_seconds: f64, megabytes: f64)
     let figures = format!("{arguments:?}: {:.2} s, {:.0} MB", taken.processor_seconds, taken.megabytes);
     eprintln!("{figures}");
     assert_eq!(taken.code, Some(code), "{figures}");
-    assert!(taken.processor_seconds <= FACTOR * processor_seconds, "{figures}");
+    assert!(taken.processor_seconds <= FACTOR * slowness() * processor_seconds, "{figures}");
     assert!(taken.megabytes <= FACTOR * megabytes, "{figures}");
 }
 
@@ -92,7 +117,7 @@ fn on_real(file: &str, verb: &[&str], code: i32, processor_seconds: f64, megabyt
 
 #[test]
 fn a_clock_that_is_set_while_recording_takes_no_time() {
-    on_real("D1_ntp.bag", &["check", "FILE"], 1, 0.05, 13.0);
+    on_real("D1_ntp.bag", &["check", "FILE"], 0, 0.05, 13.0);
     on_real("D1_ntp.bag", &["map", "FILE", "-o", "OUT"], 0, 0.9, 72.0);
 }
 
@@ -101,7 +126,7 @@ fn a_database_whose_rows_do_not_end_is_read_once() {
     for file in ["D2_min.db3", "D2b_hang.db3"] {
         on_real(file, &["info", "FILE"], 3, 0.06, 14.0);
         on_real(file, &["check", "FILE"], 1, 0.2, 14.0);
-        on_real(file, &["map", "FILE", "-o", "OUT"], 3, 0.85, 40.0);
+        on_real(file, &["map", "FILE", "-o", "OUT"], 3, 2.0, 40.0);
     }
 }
 
@@ -150,7 +175,7 @@ fn a_clock_that_is_set_from_1970_to_now_takes_no_time() {
     writer.finish().unwrap();
     assert!(count > 100, "{count}");
     let path = text(&path);
-    within(&["check", &path], 1, 0.03, 26.0);
+    within(&["check", &path], 0, 0.03, 26.0);
     within(&["info", &path], 0, 0.03, 22.0);
     within(&["map", &path, "-o", &text(&folder.path().join("map"))], 0, 0.15, 32.0);
 }

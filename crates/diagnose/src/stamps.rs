@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use portolan_geometry::Time;
+use portolan_ingest::LONGEST_PAUSE;
 use portolan_issue::Severity;
 use portolan_recording::{Header, Message};
 
@@ -170,6 +171,10 @@ impl Stamps {
                 )
             });
             self.latest = stamp;
+            return;
+        }
+        if interval.min(log_interval) > LONGEST_PAUSE {
+            // No gap: the clock that all stamps are from was set, which is a finding of the recording.
             return;
         }
         if interval < 0.0 {

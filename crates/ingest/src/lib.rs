@@ -45,7 +45,7 @@ pub use plan::{
 };
 pub use point_time::{PointTime, PointTimeOrigin};
 pub use range_noise::{RangeNoise, RangeNoiseEstimator};
-pub use recording_clock::RecordingClock;
+pub use recording_clock::{LONGEST_PAUSE, RecordingClock};
 pub use repeats::read_without_repeats;
 pub use skew::{Skew, SkewFactor, SkewState};
 pub use statistics::{ImuStatistics, RangeStatistics};

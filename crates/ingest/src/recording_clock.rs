@@ -5,7 +5,7 @@ use portolan_issue::{Issue, IssueKind};
 
 /// No recording pauses for so long, seconds: a day. Computers without a battery for their clock start in 1970 and
 /// are put right once there is a network.
-const LONGEST_PAUSE: f64 = 86_400.0;
+pub const LONGEST_PAUSE: f64 = 86_400.0;
 /// Seconds of a year (Gregorian calendar) and of a day.
 const YEAR: (f64, &str) = (31_556_952.0, "year");
 const DAY: (f64, &str) = (86_400.0, "day");

@@ -52,8 +52,11 @@ impl Execution<'_> {
         let status = wait(&mut child);
         let said = said.join().unwrap();
         let is_done = status.and_then(|status| status.code()) == Some(0);
+        let maps_it = is_done && self.verb.starts_with(&["map", "FILE"]);
         let fault = self.fault(status, &said, folder.path(), &temporary);
-        match fault.or_else(|| results::fault(&settings.program, folder.path(), is_done)) {
+        let fault = fault.or_else(|| results::fault(&settings.program, folder.path(), is_done));
+        let found = || if maps_it { results::findings(&settings.program, &file) } else { None };
+        match fault.or_else(found) {
             None => Verdict::Right,
             Some(fault) => Verdict::Wrong(self.describe(&fault, &said, settings)),
         }
