@@ -126,7 +126,7 @@ fn a_database_whose_rows_do_not_end_is_read_once() {
     for file in ["D2_min.db3", "D2b_hang.db3"] {
         on_real(file, &["info", "FILE"], 3, 0.06, 14.0);
         on_real(file, &["check", "FILE"], 1, 0.2, 14.0);
-        on_real(file, &["map", "FILE", "-o", "OUT"], 3, 2.0, 40.0);
+        on_real(file, &["map", "FILE", "-o", "OUT"], 3, 1.8, 40.0);
     }
 }
 

@@ -13,7 +13,7 @@ mod submap_3d;
 pub use growing::GrowingSubmap;
 pub use planar_scan::PlanarScan;
 pub use scan_matching_2d::{
-    ScanMatch2d, ScanMatcher2d, fast_matcher_options, gradient_matcher, search_after_gap,
+    ScanMatch2d, ScanMatcher2d, Searched, fast_matcher_options, gradient_matcher, search_after_gap,
 };
 pub use scan_matching_3d::{ScanMatcher3d, clouds_in_grids, fast_matcher_options_3d, gradient_matcher_3d};
 pub use search_window::SearchWindow;

@@ -6,7 +6,7 @@ use portolan_config::{
 };
 use portolan_geometry::Rigid2;
 use portolan_matching::{
-    FastCorrelativeOptions2d, GradientMatcher2d, GradientMatcherOptions2d, MatcherOptionError,
+    FastCorrelativeOptions2d, GradientMatcher2d, GradientMatcherOptions2d, MatchResult, MatcherOptionError,
     RealTimeCorrelativeMatcher2d, RealTimeCorrelativeOptions,
 };
 use portolan_recall::{Answer, Sink, Words};
@@ -95,15 +95,35 @@ impl ScanMatcher2d {
         self.match_to(submap, prediction, [cloud, returns], self.search_in(window, self.largest_penalty))
     }
 
-    /// The same within a window in which no place is preferred.
-    pub fn match_anywhere(
+    /// Where the search finds the scan in a window around each of several poses, in which no place is preferred. Empty without a
+    /// search.
+    pub fn search_around(
         &self,
         submap: &Submap2d,
-        around: Rigid2,
+        poses: &[Rigid2],
         clouds: [&PointCloud; 2],
         window: SearchWindow,
-    ) -> ScanMatch2d {
-        self.match_to(submap, around, clouds, self.search_in(Some(window), 0.0))
+    ) -> Vec<Searched> {
+        let Some(matcher) = self.search_in(Some(window), 0.0) else { return Vec::new() };
+        let dense = self.dense(submap, clouds);
+        let found = matcher.match_scan_around(poses, dense.as_ref().unwrap_or(clouds[0]), &submap.grid);
+        let all = found.into_iter().zip(poses);
+        all.filter_map(|(found, around)| {
+            found.map(|MatchResult { score, pose }| Searched { score, pose, around: *around })
+        })
+        .collect()
+    }
+
+    /// Goes on from where the search found a scan, along the gradient.
+    pub fn refined(&self, submap: &Submap2d, found: &Searched, cloud: &PointCloud) -> Rigid2 {
+        let held = if self.holds_search_result { found.pose } else { found.around };
+        self.gradient.match_scan(held.translation, &found.pose, cloud, &submap.grid).pose
+    }
+
+    /// What is searched instead of the points to match, if that is more.
+    fn dense(&self, submap: &Submap2d, [cloud, returns]: [&PointCloud; 2]) -> Option<PointCloud> {
+        let spacing = (DENSE_CELLS * submap.grid.limits().resolution()) as f32;
+        self.holds_search_result.then(|| densely_sampled(cloud, returns, spacing, MIN_DENSE_SHARE)).flatten()
     }
 
     fn match_to(
@@ -114,12 +134,7 @@ impl ScanMatcher2d {
         search: Option<RealTimeCorrelativeMatcher2d>,
     ) -> ScanMatch2d {
         let searched = search.and_then(|matcher| {
-            let spacing = (DENSE_CELLS * submap.grid.limits().resolution()) as f32;
-            let dense = if self.holds_search_result {
-                densely_sampled(cloud, returns, spacing, MIN_DENSE_SHARE)
-            } else {
-                None
-            };
+            let dense = self.dense(submap, [cloud, returns]);
             matcher.match_scan(&prediction, dense.as_ref().unwrap_or(cloud), &submap.grid)
         });
         let score = searched.as_ref().map(|found| found.score);
@@ -128,6 +143,17 @@ impl ScanMatcher2d {
         let pose = self.gradient.match_scan(held.translation, &initial, cloud, &submap.grid).pose;
         ScanMatch2d { pose, score }
     }
+}
+
+/// Where a search found a scan.
+#[derive(Clone, Copy, Debug)]
+pub struct Searched {
+    /// How well it fits there.
+    pub score: f32,
+    /// In the local map.
+    pub pose: Rigid2,
+    /// The middle of the window.
+    around: Rigid2,
 }
 
 /// Where a scan was found.

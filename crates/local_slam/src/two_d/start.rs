@@ -153,27 +153,25 @@ impl Role {
 fn proposals(tracker: &Tracker, motion: Motion, scan: &Scan) -> Vec<Velocity> {
     let reach = (FASTEST * motion.seconds).min(FARTHEST);
     let rings = ((reach - SQUARE.linear) / (2.0 * SQUARE.linear)).ceil().max(0.0) as i32;
-    let mut found: Vec<(f32, Rigid2)> = Vec::new();
-    for (i, j) in (-rings..=rings).flat_map(|i| (-rings..=rings).map(move |j| (i, j))) {
-        let off = 2.0 * SQUARE.linear * Vector2::new(f64::from(i), f64::from(j));
-        if off.norm() > reach {
-            continue;
-        }
-        let around = motion.last * Rigid2 { translation: off, angle: 0.0 };
-        let best = tracker.search_freely(scan, around, SQUARE);
-        found.extend(best.score.map(|score| (score, best.pose)));
-    }
-    found.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let squares = (-rings..=rings).flat_map(|i| (-rings..=rings).map(move |j| (i, j)));
+    let centres = squares.map(|(i, j)| 2.0 * SQUARE.linear * Vector2::new(f64::from(i), f64::from(j)));
+    let poses: Vec<Rigid2> = centres
+        .filter(|off| off.norm() <= reach)
+        .map(|off| motion.last * Rigid2 { translation: off, angle: 0.0 })
+        .collect();
     let mut motions: Vec<Rigid2> = Vec::new();
-    for (_, pose) in found {
-        let step = motion.to(&pose);
+    for found in tracker.search_freely(scan, &poses, SQUARE) {
+        let step = motion.to(&tracker.refined(scan, &found));
         let is_new = |other: &Rigid2| (other.translation - step.translation).norm() > ALIKE;
         let is_possible = step.translation.norm() <= FASTEST * motion.seconds;
         if is_possible && step.translation.norm() > ALIKE && motions.iter().all(is_new) {
             motions.push(step);
         }
+        if motions.len() == FOLLOWED {
+            break;
+        }
     }
-    motions.iter().take(FOLLOWED).map(|step| Velocity::to(step, motion.seconds)).collect()
+    motions.iter().map(|step| Velocity::to(step, motion.seconds)).collect()
 }
 
 /// Logarithm of how likely a scan is where it was found, which is near where it was predicted.

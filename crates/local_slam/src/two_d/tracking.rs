@@ -9,7 +9,7 @@ use portolan_grids::{ScanAgreement, scan_agreement};
 use portolan_matching::MatcherOptionError;
 use portolan_recall::Memory;
 use portolan_sensor::PointCloud;
-use portolan_submaps::{ScanMatch2d, ScanMatcher2d, SearchWindow};
+use portolan_submaps::{ScanMatch2d, ScanMatcher2d, SearchWindow, Searched};
 
 use super::LocalSlamExtras;
 use super::belief::is_hardly_explained;
@@ -177,9 +177,18 @@ impl Tracker {
         Some(found.pose).filter(Rigid2::is_finite)
     }
 
-    /// Where the scan fits best within a window. Nothing is learned from it, and nothing remembered.
-    pub fn search_freely(&self, scan: &Scan, around: Rigid2, window: SearchWindow) -> ScanMatch2d {
-        self.matcher.match_anywhere(scan.submap, around, [scan.cloud, scan.returns], window)
+    /// Where the scan fits best within a window around each of these poses, the best first. Nothing is learned from it, and nothing
+    /// remembered.
+    pub fn search_freely(&self, scan: &Scan, poses: &[Rigid2], window: SearchWindow) -> Vec<Searched> {
+        let clouds = [scan.cloud, scan.returns];
+        let mut found = self.matcher.search_around(scan.submap, poses, clouds, window);
+        found.sort_by(|a, b| b.score.total_cmp(&a.score));
+        found
+    }
+
+    /// Goes on from where a search found the scan.
+    pub fn refined(&self, scan: &Scan, found: &Searched) -> Rigid2 {
+        self.matcher.refined(scan.submap, found, scan.cloud)
     }
 
     /// Another scan is to be found than that which was looked for.

@@ -93,13 +93,7 @@ impl RealTimeCorrelativeMatcher2d {
         if points.is_empty() || !initial.is_finite() {
             return None;
         }
-        let mut window = SearchWindow::new(
-            &points,
-            grid.limits().resolution(),
-            self.options.linear_search_window,
-            self.options.angular_search_window,
-        );
-        window.num_linear = window.num_linear.min(largest_useful_shift(grid, initial, &window));
+        let window = self.window(initial, &points, grid);
         let tile = searched_part(grid, initial, &points, &window);
         let first_cell = [tile.min.x, tile.min.y];
         let scans = RotatedScans::new(&points, initial, window, *grid.limits(), first_cell);
@@ -109,6 +103,50 @@ impl RealTimeCorrelativeMatcher2d {
             Grid2d::Tsdf(g) => signed_distance::best(g, tile, scans, window, penalty),
         }?;
         Some(MatchResult { score, pose: window.pose(initial, &placement) })
+    }
+
+    /// [`Self::match_scan`] around each of several initial poses. Where the window is small, the grid is read once for all.
+    pub fn match_scan_around(
+        &self,
+        initials: &[Rigid2],
+        points: &PointCloud,
+        grid: &Grid2d,
+    ) -> Vec<Option<MatchResult<Rigid2>>> {
+        let finite: Vec<Point3f> = points.points.iter().copied().filter(is_finite).collect();
+        let are_usual = !finite.is_empty() && initials.iter().all(Rigid2::is_finite);
+        let windows: Vec<SearchWindow> = match are_usual {
+            true => initials.iter().map(|initial| self.window(initial, &finite, grid)).collect(),
+            false => Vec::new(),
+        };
+        let parts =
+            initials.iter().zip(&windows).map(|(at, window)| searched_part(grid, at, &finite, window));
+        let all = parts.reduce(|a, b| a.extended(b.min).extended(b.max));
+        let (Grid2d::Probability(probabilities), Some(all)) = (grid, all) else {
+            return initials.iter().map(|initial| self.match_scan(initial, points, grid)).collect();
+        };
+        if windows.iter().any(|window| window.num_linear > SMALL_WINDOW) {
+            return initials.iter().map(|initial| self.match_scan(initial, points, grid)).collect();
+        }
+        let tile = probability::tile(probabilities, all);
+        let found = initials.iter().zip(windows).map(|(initial, window)| {
+            let first_cell = [all.min.x, all.min.y];
+            let scans = RotatedScans::new(&finite, initial, window, *grid.limits(), first_cell);
+            let penalty = Penalty::new(&self.options, self.largest_penalty, window);
+            let (score, placement) = probability::best_on(&tile, scans, window, penalty)?;
+            Some(MatchResult { score, pose: window.pose(initial, &placement) })
+        });
+        found.collect()
+    }
+
+    fn window(&self, initial: &Rigid2, points: &[Point3f], grid: &Grid2d) -> SearchWindow {
+        let mut window = SearchWindow::new(
+            points,
+            grid.limits().resolution(),
+            self.options.linear_search_window,
+            self.options.angular_search_window,
+        );
+        window.num_linear = window.num_linear.min(largest_useful_shift(grid, initial, &window));
+        window
     }
 }
 

@@ -16,17 +16,14 @@ const SHIFTS_A_LOOKUP: u32 = 4;
 pub(super) fn best(
     grid: &ProbabilityGrid,
     part: CellBox,
-    mut scans: RotatedScans,
+    scans: RotatedScans,
     window: SearchWindow,
     penalty: Penalty,
 ) -> Option<(f32, Placement)> {
     let num_points = scans.num_points() as f32;
-    let tile = probabilities(grid, part);
+    let tile = tile(grid, part);
     if window.num_linear <= SMALL_WINDOW {
-        let mean = |cells: &[[i32; 2]], x: i32, y: i32| {
-            tile.sums(cells, x, y).map(|row| row.map(|sum| sum / num_points))
-        };
-        return exhaustive::best(&mut scans, &window, &penalty, mean);
+        return best_on(&tile, scans, window, penalty);
     }
     let bytes = upper_bounds(grid, part);
     let (num_x, num_y) = (part.num_x_cells() as usize, part.num_y_cells() as usize);
@@ -39,13 +36,27 @@ pub(super) fn best(
     placements.first().map(|p| (score, *p))
 }
 
+/// The same in a small window, on the part of a grid whose cells the scans count from.
+pub(super) fn best_on(
+    tile: &Tile,
+    mut scans: RotatedScans,
+    window: SearchWindow,
+    penalty: Penalty,
+) -> Option<(f32, Placement)> {
+    let num_points = scans.num_points() as f32;
+    let mean = |cells: &[[i32; 2]], x: i32, y: i32| {
+        tile.sums(cells, x, y).map(|row| row.map(|sum| sum / num_points))
+    };
+    exhaustive::best(&mut scans, &window, &penalty, mean)
+}
+
 fn row_of_codes(grid: &ProbabilityGrid, first: CellIndex, width: usize) -> &[u16] {
     let start = grid.limits().flat_index(first).unwrap_or(0);
     grid.cells().get(start..start + width).unwrap_or(&[])
 }
 
 /// The probability of every cell of a part of the grid.
-fn probabilities(grid: &ProbabilityGrid, part: CellBox) -> Tile {
+pub(super) fn tile(grid: &ProbabilityGrid, part: CellBox) -> Tile {
     let code = *grid.code();
     Tile::new(part, MIN_PROBABILITY, |first, row| {
         let codes = row_of_codes(grid, first, row.len());

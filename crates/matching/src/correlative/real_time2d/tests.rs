@@ -193,3 +193,20 @@ fn a_perfect_placement_on_a_distance_field_scores_one() {
     assert!(perfect > 0.95 && perfect < 1.1, "{perfect}");
     assert!(shifted > 1.0 - 4.0 / 42.0 - 0.1 && shifted < 1.0, "{shifted}");
 }
+
+#[test]
+fn around_several_poses_the_same_is_found_as_around_each() {
+    let poses: Vec<Rigid2> =
+        (-2..=2).map(|i| golden_initial() * Rigid2::new(0.3 * f64::from(i), 0.1, 0.0)).collect();
+    let mut strange = golden_scan();
+    strange.points.push(Point3f::new(f32::NAN, 0.0, 0.0));
+    for (linear, grid) in [(0.15, grid_g().into()), (0.4, grid_g().into()), (0.15, golden_tsdf())] {
+        let options = RealTimeCorrelativeOptions { linear_search_window: linear, ..golden_options() };
+        let matcher = RealTimeCorrelativeMatcher2d::new(&options).unwrap();
+        for points in [golden_scan(), strange.clone(), PointCloud::default()] {
+            let each: Vec<_> = poses.iter().map(|pose| matcher.match_scan(pose, &points, &grid)).collect();
+            assert_eq!(matcher.match_scan_around(&poses, &points, &grid), each);
+        }
+        assert!(matcher.match_scan_around(&[], &golden_scan(), &grid).is_empty());
+    }
+}
