@@ -48,6 +48,7 @@ kinds! {
     DamagedCompression Error "the compressed file is damaged or cut off; what could be decompressed was read"
     DamagedCompressedText Error "the compressed file is damaged or cut off ({error}); what follows is lost"
     MissingIndex Info "the recording was not ended properly and has no index; the file was scanned instead"
+    EmptyRecording Warning "{file} has no messages"
     DamagedIndex Info "the index is damaged; the file was scanned instead"
     MissingSummary Info "the recording was not ended properly and has no summary; the file was scanned instead"
     DamagedSummary Info "the summary is damaged; the file was scanned instead"

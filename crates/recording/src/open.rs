@@ -66,8 +66,13 @@ pub fn open_all<P: AsRef<Path>>(paths: &[P]) -> Result<Box<dyn Recording>, Recor
         [] => Err(RecordingError::Description { detail: "no recording was named".to_owned() }),
         [path] => open(path),
         paths => {
-            let parts = paths.iter().map(|path| open_as_it_is(path.as_ref())).collect::<Result<_, _>>()?;
-            packets::unpacked(Box::new(MergedRecording::new(parts, Vec::new())))
+            let parts: Vec<_> =
+                paths.iter().map(|path| open_as_it_is(path.as_ref())).collect::<Result<_, _>>()?;
+            let empty = paths.iter().zip(&parts).filter(|(_, part)| part.topics().is_empty());
+            let issue =
+                |path: &P| Issue::new(IssueKind::EmptyRecording).with("file", path.as_ref().display());
+            let issues = empty.map(|(path, _)| issue(path)).collect();
+            packets::unpacked(Box::new(MergedRecording::new(parts, issues)))
         }
     }
 }

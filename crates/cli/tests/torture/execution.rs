@@ -52,7 +52,7 @@ impl Execution<'_> {
         let status = wait(&mut child);
         let said = said.join().unwrap();
         let is_done = status.and_then(|status| status.code()) == Some(0);
-        let maps_it = is_done && self.verb.starts_with(&["map", "FILE"]);
+        let maps_it = is_done && self.verb.starts_with(&["map", "FILE", "-o"]);
         let fault = self.fault(status, &said, folder.path(), &temporary);
         let fault = fault.or_else(|| results::fault(&settings.program, folder.path(), is_done));
         let found = || if maps_it { results::findings(&settings.program, &file) } else { None };

@@ -188,6 +188,20 @@ fn several_files_are_read_as_one() {
 }
 
 #[test]
+fn a_file_without_messages_among_others_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut paths = parts(folder.path(), &recorded(30));
+    paths.push(folder.path().join("part_11.bag"));
+    write(&paths[2], None, &[]);
+    let (found, issues) = read_all(&*open_all(&paths).unwrap());
+    assert_eq!(found.len(), 30 * recorded(1).len());
+    assert!(
+        matches!(&issues[..], [issue] if issue.to_string().contains("part_11.bag has no messages")),
+        "{issues:?}"
+    );
+}
+
+#[test]
 fn a_folder_with_metadata_names_its_files() {
     let folder = tempfile::tempdir().unwrap();
     let messages = recorded(30);
