@@ -52,11 +52,8 @@ impl Execution<'_> {
         let status = wait(&mut child);
         let said = said.join().unwrap();
         let is_done = status.and_then(|status| status.code()) == Some(0);
-        let maps_it = is_done && self.verb.starts_with(&["map", "FILE", "-o"]);
         let fault = self.fault(status, &said, folder.path(), &temporary);
-        let fault = fault.or_else(|| results::fault(&settings.program, folder.path(), is_done));
-        let found = || if maps_it { results::findings(&settings.program, &file) } else { None };
-        match fault.or_else(found) {
+        match fault.or_else(|| results::fault(&settings.program, folder.path(), is_done)) {
             None => Verdict::Right,
             Some(fault) => Verdict::Wrong(self.describe(&fault, &said, settings)),
         }
