@@ -94,7 +94,7 @@ const FAULTY: Kind = Kind {
 #[derive(Debug, Default)]
 pub(crate) struct RangeChecks {
     last_end: Option<Time>,
-    last_sum: Option<(usize, [f64; 4])>,
+    last_sum: Option<(Time, Sum)>,
     longest_overlap: f64,
     messages: u64,
     repeated: u64,
@@ -102,6 +102,20 @@ pub(crate) struct RangeChecks {
     beyond: u64,
     faulty: u64,
     ranges: Vec<f32>,
+}
+
+/// The number of points, and the sums of their coordinates and times.
+type Sum = (usize, [f64; 4]);
+
+fn sum_of(points: &TimedPoints) -> Sum {
+    let mut sum = [0.0; 4];
+    for point in &points.points {
+        let values = [point.position.x, point.position.y, point.position.z, point.time];
+        for (sum, value) in sum.iter_mut().zip(values) {
+            *sum += f64::from(value);
+        }
+    }
+    (points.points.len(), sum)
 }
 
 /// So many ranges are kept to judge units.
@@ -156,6 +170,12 @@ impl RangeChecks {
         let (Some(first), end) = (points.points.first(), points.time) else {
             return findings.add(&NO_RETURNS, topic, || "messages without a single distance".to_owned());
         };
+        let sum = sum_of(points);
+        let before = self.last_sum.replace((end, sum));
+        if before == Some((end, sum)) {
+            // The message before once more: its stamp, which comes twice, is a finding. Nothing is missing.
+            return;
+        }
         let start = end + portolan_geometry::Duration::from_seconds(f64::from(first.time));
         let last_end =
             self.last_end.filter(|last| end.seconds_since(*last).abs() < JUMP).unwrap_or(Time::MIN);
@@ -171,20 +191,12 @@ impl RangeChecks {
             });
         }
         self.last_end = Some(last_end.max(end));
-        let mut sum = [0.0; 4];
-        for point in &points.points {
-            let values = [point.position.x, point.position.y, point.position.z, point.time];
-            for (sum, value) in sum.iter_mut().zip(values) {
-                *sum += f64::from(value);
-            }
-        }
-        let sum = (points.points.len(), sum);
         self.messages += 1;
-        if self.last_sum.replace(sum) == Some(sum) {
+        if before.is_some_and(|(_, before)| before == sum) {
             if self.repeated == 0 {
                 self.first_repeated = format!(
                     "sensor with frame_id \"{frame}\" sends exactly the same range measurements multiple times. Range data at time {end} equals preceding data with {} points",
-                    sum.0
+                    points.points.len()
                 );
             }
             self.repeated += 1;
@@ -218,5 +230,33 @@ impl RangeChecks {
                 findings.add(kind, topic, || format!("{count} {what}"));
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use portolan_geometry::Point3f;
+    use portolan_sensor::TimedPoint;
+
+    /// What is found in scans of these times and ranges, metres.
+    fn severities(scans: &[(f64, f32)]) -> Vec<Severity> {
+        let (mut checks, mut findings) = (RangeChecks::default(), Findings::default());
+        for (seconds, range) in scans {
+            let points = vec![TimedPoint { position: Point3f::new(*range, 0.0, 0.0), time: 0.0 }];
+            let time = Time::from_seconds(*seconds);
+            let points = TimedPoints { time, points, intensities: Vec::new() };
+            checks.add_points("/scan", "laser", &points, &mut findings);
+        }
+        checks.finish("/scan", &mut findings);
+        findings.finish().into_iter().map(|finding| finding.severity).collect()
+    }
+
+    #[test]
+    fn nothing_is_missing_where_messages_come_twice() {
+        assert_eq!(severities(&[(1.0, 2.0), (1.0, 2.0), (1.1, 2.1), (1.1, 2.1), (1.2, 2.2)]), []);
+        // The readings before with a new stamp, and others with the stamp before.
+        assert_eq!(severities(&[(1.0, 2.0), (1.1, 2.0), (1.2, 2.2)]), [Severity::Error]);
+        assert_eq!(severities(&[(1.0, 2.0), (1.0, 2.1), (1.2, 2.2)]), [Severity::Error]);
     }
 }

@@ -43,7 +43,9 @@ pub use parts::{GridParts, GridRepairs, TsdfParts};
 pub use planar::{CellValue, Grid2d};
 pub use probability::ProbabilityGrid;
 pub use ray::for_each_cell_on_ray;
-pub use scan_agreement::{ScanAgreement, mean_of_solid_cells, scan_agreement, score_difference};
+pub use scan_agreement::{
+    BeamEnd, ScanAgreement, beam_ends, mean_of_solid_cells, scan_agreement, score_difference,
+};
 pub use texture::Texture;
 pub use tsdf::Tsdf2d;
 pub use voxel_map::{MAX_VOXEL_INDEX, VoxelIndex, VoxelMap};

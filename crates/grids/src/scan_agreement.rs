@@ -1,10 +1,10 @@
 //! What a grid says to a scan at a pose: which beams it explains, and which it contradicts.
 
 use nalgebra::Vector2;
-use portolan_geometry::Rigid2;
+use portolan_geometry::{Point3f, Rigid2};
 use portolan_sensor::PointCloud;
 
-use super::{CellIndex, Grid2d};
+use super::{CellIndex, Grid2d, ProbabilityGrid};
 
 /// A cell counts as solid, or as free, beyond these probabilities.
 const SOLID: f32 = 0.6;
@@ -39,45 +39,87 @@ impl ScanAgreement {
     }
 }
 
-/// Compares a scan with a grid of probabilities. `points` are metres in the frame of the scanner, whose pose in
-/// the frame of the grid is `grid_from_scan`. None for distance fields and without points.
-pub fn scan_agreement(grid: &Grid2d, grid_from_scan: &Rigid2, points: &PointCloud) -> Option<ScanAgreement> {
-    let Grid2d::Probability(grid) = grid else { return None };
+impl FromIterator<BeamEnd> for ScanAgreement {
+    fn from_iter<I: IntoIterator<Item = BeamEnd>>(ends: I) -> Self {
+        let [mut explained, mut in_free, mut through, mut total] = [0u32; 4];
+        for end in ends {
+            total += 1;
+            match end {
+                BeamEnd::AtSolid => explained += 1,
+                BeamEnd::InFree => in_free += 1,
+                BeamEnd::BehindSolid => through += 1,
+                BeamEnd::Unknown => {}
+            }
+        }
+        let share = |count: u32| count as f32 / total.max(1) as f32;
+        Self { explained: share(explained), in_free_space: share(in_free), through_solid: share(through) }
+    }
+}
+
+/// What a map says to one beam.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BeamEnd {
+    /// It ends at something solid.
+    AtSolid,
+    /// It ends where it is known to be free.
+    InFree,
+    /// It passes through something solid.
+    BehindSolid,
+    /// The map does not know where it ends.
+    Unknown,
+}
+
+/// Each point of a scan, in its own frame, with what a grid of probabilities says to its beam. `points` are metres in the frame
+/// of the scanner, whose pose in the frame of the grid is `grid_from_scan`. None of distance fields, and points at the
+/// scanner itself are left out.
+pub fn beam_ends<'a>(
+    grid: &'a Grid2d,
+    grid_from_scan: &Rigid2,
+    points: &'a PointCloud,
+) -> impl Iterator<Item = (&'a Point3f, BeamEnd)> + use<'a> {
+    let grid = if let Grid2d::Probability(grid) = grid { Some(grid) } else { None };
+    let pose = *grid_from_scan;
+    grid.into_iter().flat_map(move |grid| {
+        points.points.iter().filter_map(move |point| Some((point, beam_end(grid, &pose, point)?)))
+    })
+}
+
+#[inline]
+fn beam_end(grid: &ProbabilityGrid, grid_from_scan: &Rigid2, point: &Point3f) -> Option<BeamEnd> {
     let resolution = grid.limits().resolution();
     let cell_at = |p: &Vector2<f64>| grid.limits().cell_index(p.cast::<f32>());
     let known = |cell: CellIndex| grid.is_known(cell).then(|| grid.probability(cell));
     let is_solid = |cell: CellIndex| known(cell).is_some_and(|p| p > SOLID);
     let origin = grid_from_scan.translation;
-    let [mut explained, mut in_free, mut through, mut total] = [0u32; 4];
-    for point in &points.points {
-        let end = grid_from_scan.transform_point(&Vector2::new(f64::from(point.x), f64::from(point.y)));
-        let beam = end - origin;
-        let length = beam.norm();
-        if !length.is_finite() || length <= 0.0 {
-            continue;
-        }
-        total += 1;
-        let cell = cell_at(&end);
-        let around = (-1..=1).flat_map(|x| (-1..=1).map(move |y| CellIndex::new(cell.x + x, cell.y + y)));
-        if around.into_iter().any(is_solid) {
-            explained += 1;
-            continue;
-        }
-        let steps = (length / resolution - BEHIND).max(0.0) as u32;
-        let passed = (1..steps)
-            .filter(|i| is_solid(cell_at(&(origin + beam * (f64::from(*i) * resolution / length)))));
-        if passed.take(MIN_SOLID_CELLS as usize).count() >= MIN_SOLID_CELLS as usize {
-            through += 1;
-        } else if known(cell).is_some_and(|p| p < FREE) {
-            in_free += 1;
-        }
+    let end = grid_from_scan.transform_point(&Vector2::new(f64::from(point.x), f64::from(point.y)));
+    let beam = end - origin;
+    let length = beam.norm();
+    if !length.is_finite() || length <= 0.0 {
+        return None;
     }
-    let share = |count: u32| count as f32 / total as f32;
-    (total > 0).then(|| ScanAgreement {
-        explained: share(explained),
-        in_free_space: share(in_free),
-        through_solid: share(through),
+    let cell = cell_at(&end);
+    let around = (-1..=1).flat_map(|x| (-1..=1).map(move |y| CellIndex::new(cell.x + x, cell.y + y)));
+    if around.into_iter().any(is_solid) {
+        return Some(BeamEnd::AtSolid);
+    }
+    let steps = (length / resolution - BEHIND).max(0.0) as u32;
+    let passed =
+        (1..steps).filter(|i| is_solid(cell_at(&(origin + beam * (f64::from(*i) * resolution / length)))));
+    Some(if passed.take(MIN_SOLID_CELLS as usize).count() >= MIN_SOLID_CELLS as usize {
+        BeamEnd::BehindSolid
+    } else if known(cell).is_some_and(|p| p < FREE) {
+        BeamEnd::InFree
+    } else {
+        BeamEnd::Unknown
     })
+}
+
+/// Compares a scan with a grid of probabilities. `points` are metres in the frame of the scanner, whose pose in
+/// the frame of the grid is `grid_from_scan`. None for distance fields and without points.
+pub fn scan_agreement(grid: &Grid2d, grid_from_scan: &Rigid2, points: &PointCloud) -> Option<ScanAgreement> {
+    let mut ends = beam_ends(grid, grid_from_scan, points).map(|(_, end)| end).peekable();
+    ends.peek()?;
+    Some(ends.collect())
 }
 
 /// By how many standard errors the cells that a scan meets are more probable at the first of two poses than at the

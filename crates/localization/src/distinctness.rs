@@ -10,8 +10,9 @@ use crate::evidence::Verdict;
 use crate::hypothesis::Hypothesis;
 use crate::information::open_direction;
 use crate::known_map::{KnownMap, ON_THE_WAY};
+use crate::paired::Discordant;
 use crate::recent::{KEPT, KeyScan, RecentScans, is_alike};
-use crate::search::{Decision, Places, Searcher};
+use crate::search::{Decision, Judge, Places, Searcher};
 use crate::state::Reason;
 
 /// Places are examined so far apart along the way, metres, and no more of them: farther apart in larger maps.
@@ -146,7 +147,7 @@ impl<'a, M: KnownMap> PlaceExaminer<'a, M> {
         });
         let open_direction = open_direction(&here.information, M::FREEDOM);
         let fit = own.as_ref().map_or(0.0, Hypothesis::fit);
-        let judged = own.map(|own| judge(own, others, recent.motion()));
+        let judged = own.map(|own| judge(own, others, &self.searcher, &recent));
         let distinctness = match judged {
             _ if Verdict::of(&here.agreement) != Verdict::Supports => Distinctness::Thin,
             None => Distinctness::Thin,
@@ -172,9 +173,17 @@ impl<'a, M: KnownMap> PlaceExaminer<'a, M> {
 }
 
 /// Whether the true place would be believed among the others.
-fn judge(own: Hypothesis, others: Vec<Hypothesis>, way: (f64, f64)) -> Distinctness {
-    let places = Places::of_complete_search(std::iter::once(own).chain(others).collect());
-    match places.decide(way, None, &Rigid3::identity(), true) {
+fn judge<M: KnownMap>(
+    own: Hypothesis,
+    others: Vec<Hypothesis>,
+    searcher: &Searcher<M>,
+    recent: &RecentScans<M::Scan>,
+) -> Distinctness {
+    let mut places = Places::of_complete_search(std::iter::once(own).chain(others).collect());
+    let evidence =
+        |a: &Hypothesis, b: &Hypothesis| Discordant::between(&searcher.map, recent, [a, b]).deviations();
+    let judge = Judge { motion: recent.motion(), told: &|_| 0.0, evidence: &evidence };
+    match places.decide(&judge, true) {
         Decision::Believed(0) => Distinctness::Distinct,
         Decision::Nothing | Decision::Tentative(0, Reason::TooLittleSeen) => Distinctness::Thin,
         Decision::Believed(_) | Decision::Tentative(..) => Distinctness::Ambiguous,

@@ -8,10 +8,11 @@ use crate::evidence::{Support, Verdict};
 use crate::hypothesis::{Hypothesis, fit};
 use crate::known_map::{KnownMap, Window};
 use crate::pace::Pace;
+use crate::paired::Discordant;
 use crate::placed_scan::PlacedScan;
 use crate::recent::{KeyScan, Offered, RecentScans};
 use crate::rivals::{BETTER_BY, BETTER_FIT, Rivals};
-use crate::search::{Decision, Due, Places, PositionFix, Searcher, TimedPose, ToldStart};
+use crate::search::{Decision, Due, Judge, Places, PositionFix, Searcher, TimedPose, ToldStart};
 use crate::state::{Estimate, Place, Reason, State};
 
 /// A scan that contradicts the map where it is believed to be is looked for so far around, metres and radians, and
@@ -241,12 +242,7 @@ impl<M: KnownMap> Finder<M> {
             Due::Nothing => {}
         }
         places.prune();
-        let decision = places.decide(
-            self.recent.motion(),
-            self.told.as_ref(),
-            &current.local_from_scan,
-            due != Due::Nothing,
-        );
+        let decision = self.decide(&mut places, current, due != Due::Nothing);
         match decision {
             Decision::Believed(best) => {
                 let track = Track {
@@ -269,6 +265,18 @@ impl<M: KnownMap> Finder<M> {
                 (Mode::Searching { places, lost }, state, lost.unwrap_or(Reason::NoPlaceFits))
             }
         }
+    }
+
+    /// Which place is believed, after the map was searched or between searches.
+    fn decide(&self, places: &mut Places, current: &Current<M::Scan>, was_searched: bool) -> Decision {
+        let told = |place: &Hypothesis| {
+            self.told.as_ref().map_or(0.0, |told| told.agreement(place, &current.local_from_scan))
+        };
+        let evidence = |place: &Hypothesis, other: &Hypothesis| {
+            Discordant::between(&self.searcher.map, &self.recent, [place, other]).deviations()
+        };
+        let judge = Judge { motion: self.recent.motion(), told: &told, evidence: &evidence };
+        places.decide(&judge, was_searched)
     }
 
     /// Places where the recent scans fit, moved along to the current scan.

@@ -32,8 +32,8 @@ pub(crate) struct Hypothesis {
     pub belief: Belief,
     /// What the map says to the newest scan that was matched.
     pub agreement: ScanAgreement,
-    /// What it says to the recent scans, oldest first.
-    fits: VecDeque<ScanAgreement>,
+    /// What it says to the recent scans, and where they were found, oldest first.
+    fits: VecDeque<(ScanAgreement, Rigid3)>,
 }
 
 impl Hypothesis {
@@ -51,7 +51,7 @@ impl Hypothesis {
         for kept in recent.iter().rev() {
             let guess = place * (after.local_from_scan.inverse() * kept.local_from_scan);
             let here = map.find(&kept.scan, &guess, ON_THE_WAY);
-            fits.push_front(here.agreement);
+            fits.push_front((here.agreement, here.pose));
             found.get_or_insert(here);
             (place, after) = (here.pose, kept);
         }
@@ -62,7 +62,7 @@ impl Hypothesis {
 
     /// Remembers what the map says to a scan that is kept.
     pub fn remember(&mut self, oldest_left: bool) {
-        self.fits.push_back(self.agreement);
+        self.fits.push_back((self.agreement, self.belief.pose));
         if oldest_left {
             self.fits.pop_front();
         }
@@ -70,7 +70,7 @@ impl Hypothesis {
 
     /// How well the recent scans fit.
     pub fn fit(&self) -> f64 {
-        self.fits.iter().map(fit).sum::<f64>() / self.fits.len().max(1) as f64
+        self.fits.iter().map(|(seen, _)| fit(seen)).sum::<f64>() / self.fits.len().max(1) as f64
     }
 
     /// By how much it fits better than another place: over the recent scans, and over the newest half and quarter of them,
@@ -82,7 +82,7 @@ impl Hypothesis {
     /// The same, of the newest so many scans.
     pub fn lead_of_newest(&self, other: &Self, scans: usize) -> f64 {
         let differences = self.fits.iter().rev().zip(other.fits.iter().rev()).take(scans);
-        let differences: Vec<f64> = differences.map(|(own, other)| fit(own) - fit(other)).collect();
+        let differences: Vec<f64> = differences.map(|(own, other)| fit(&own.0) - fit(&other.0)).collect();
         let mean = |scans: usize| {
             let newest = differences.get(..scans).unwrap_or(&differences);
             newest.iter().sum::<f64>() / newest.len().max(1) as f64
@@ -90,10 +90,15 @@ impl Hypothesis {
         [KEPT / 4, KEPT / 2, KEPT].into_iter().map(mean).fold(f64::INFINITY, f64::min)
     }
 
+    /// Where the recent scans were found, the newest first.
+    pub fn found(&self) -> impl Iterator<Item = &Rigid3> {
+        self.fits.iter().rev().map(|(_, pose)| pose)
+    }
+
     /// How well the newest so many scans fit.
     pub fn fit_of_newest(&self, scans: usize) -> f64 {
         let scans = scans.min(self.fits.len());
-        self.fits.iter().rev().take(scans).map(fit).sum::<f64>() / scans.max(1) as f64
+        self.fits.iter().rev().take(scans).map(|(seen, _)| fit(seen)).sum::<f64>() / scans.max(1) as f64
     }
 
     /// How well scans fit over the recent ones, the newest half and the newest quarter of them, whichever is least.
@@ -155,7 +160,7 @@ pub(crate) fn test_place(x: f64, fits: &[f32]) -> Hypothesis {
     Hypothesis {
         belief,
         agreement: fits.last().map(agreement).unwrap_or_default(),
-        fits: fits.iter().map(agreement).collect(),
+        fits: fits.iter().map(|fit| (agreement(fit), pose)).collect(),
     }
 }
 

@@ -1,7 +1,7 @@
 //! What a saved map has to be able to for scans to be found in it: what differs between the plane and space.
 
-use portolan_geometry::{NearFrame, Rigid3, Vector2};
-use portolan_grids::{GridError, ScanAgreement};
+use portolan_geometry::{NearFrame, Point3f, Rigid3, Vector2};
+use portolan_grids::{BeamEnd, GridError, ScanAgreement};
 use portolan_mapping::{GraphState, NodeData, PoseGraph, Space, TrajectoryId};
 use portolan_matching::MatcherOptionError;
 use portolan_sensor::PointCloud;
@@ -130,6 +130,12 @@ pub trait KnownMap: Sized + Send + Sync + 'static {
     fn settle(&self, joint: &Self::Joint, guess: &Rigid3, window: Window) -> Rigid3;
     /// Finds a scan in a window around a guess.
     fn find(&self, scan: &Self::Scan, guess: &Rigid3, window: Window) -> ScanMatch;
+    /// The points that judge a scan, in its frame, with what the map says to each where the scan lies at a pose.
+    fn beam_ends<'a>(
+        &'a self,
+        scan: &'a Self::Scan,
+        pose: &Rigid3,
+    ) -> impl Iterator<Item = (&'a Point3f, BeamEnd)>;
     /// What the map says to a scan at a pose.
     fn agreement(&self, scan: &Self::Scan, pose: &Rigid3) -> ScanAgreement;
     /// What a scan is kept as, to renew the map by; none where nodes keep enough of it. The returns are in the local map.

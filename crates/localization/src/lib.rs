@@ -22,6 +22,7 @@ mod near_cells;
 mod occupancy;
 mod own_scans;
 mod pace;
+mod paired;
 mod placed_scan;
 mod planar_map;
 mod planar_scan;

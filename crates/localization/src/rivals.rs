@@ -4,11 +4,11 @@ use portolan_geometry::Rigid3;
 
 use crate::hypothesis::Hypothesis;
 use crate::known_map::KnownMap;
-use crate::search::{FIT, LEAD, REFUTED_BY, Searcher};
+use crate::search::{REFUTED_BY, Searcher};
 
-/// A place that was left for another one nearby is given up once that fits and leads over so many scans, as it has to be to
-/// be believed at all.
+/// A place that was left for another one nearby is given up once that fits better by so much over so many scans.
 const SCANS: usize = 3;
+const LEAD: f64 = 0.2;
 /// Another place is better if it fits so well, and so much better.
 pub(crate) const BETTER_FIT: f64 = 0.45;
 pub(crate) const BETTER_BY: f64 = 0.12;
@@ -30,7 +30,7 @@ impl Rival {
     fn is_refuted(&self, believed: &Hypothesis) -> bool {
         match self.since {
             Some(scans) => {
-                scans >= SCANS && believed.fit_of_newest(scans) >= FIT && self.behind(believed) >= LEAD
+                scans >= SCANS && believed.fit_of_newest(scans) >= BETTER_FIT && self.behind(believed) >= LEAD
             }
             None => self.behind(believed) >= REFUTED_BY,
         }

@@ -1,7 +1,7 @@
 //! Matching a scan to a map of the plane, and what the match tells.
 
-use portolan_geometry::{Rigid2, Rigid3, Vector2, Vector3, embed_3d, project_2d, to_f32};
-use portolan_grids::{ScanAgreement, scan_agreement};
+use portolan_geometry::{Point3f, Rigid2, Rigid3, Vector2, Vector3, embed_3d, project_2d, to_f32};
+use portolan_grids::{BeamEnd, ScanAgreement, beam_ends};
 use portolan_mapping::{NodeData, Planar};
 use portolan_mapping::{PoseGraph, TrajectoryId};
 use portolan_matching::{GradientMatcher2d, GradientMatcherOptions2d, MatcherOptionError, WantedPlaces};
@@ -131,8 +131,16 @@ impl KnownMap for PlanarMap {
         ScanMatch { pose, information, agreement: self.agreement(scan, &pose) }
     }
 
+    fn beam_ends<'a>(
+        &'a self,
+        scan: &'a PlanarScan,
+        pose: &Rigid3,
+    ) -> impl Iterator<Item = (&'a Point3f, BeamEnd)> {
+        beam_ends(&self.grid, &project_2d(pose), &scan.cloud)
+    }
+
     fn agreement(&self, scan: &PlanarScan, pose: &Rigid3) -> ScanAgreement {
-        scan_agreement(&self.grid, &project_2d(pose), &scan.cloud).unwrap_or_default()
+        self.beam_ends(scan, pose).map(|(_, end)| end).collect()
     }
 
     fn renew(&self, graph: &mut PoseGraph<Planar>, new: TrajectoryId, _sweeps: &[&KeptSweep]) -> Renewal {

@@ -6,7 +6,7 @@ use portolan_geometry::{
     Point3f, Rigid2, Rigid3, Vector3, embed_3d, is_valid_pose, normalize_angle, rotation_from_roll_pitch_yaw,
     to_f32, yaw,
 };
-use portolan_grids::ScanAgreement;
+use portolan_grids::{BeamEnd, ScanAgreement};
 use portolan_lidar_odometry::{PlaneMap, PosePrior, Registration, RegistrationSettings, Sigmas};
 use portolan_mapping::{GraphState, NodeData, PoseGraph, Spatial, TrajectoryId};
 use portolan_matching::{
@@ -257,18 +257,29 @@ impl SpatialMap {
     /// What is explained is the share beyond that which would be by chance (as in Cohen, "A coefficient of agreement for
     /// nominal scales", 1960): 1 where all points are, 0 where the place may be any.
     pub(crate) fn agreement_of(&self, points: &[Point3f], pose: &Rigid3) -> ScanAgreement {
+        let mut agreement: ScanAgreement = self.ends_of(points, pose).map(|(_, end)| end).collect();
+        let beyond_chance = (agreement.explained - self.by_chance) / (1.0 - self.by_chance);
+        agreement.explained = beyond_chance.max(0.0);
+        agreement
+    }
+
+    fn ends_of<'a>(
+        &'a self,
+        points: &'a [Point3f],
+        pose: &Rigid3,
+    ) -> impl Iterator<Item = (&'a Point3f, BeamEnd)> + use<'a> {
         let pose = to_f32(pose);
-        let (mut explained, mut in_free) = (0_u32, 0_u32);
-        for point in points.iter().map(|p| pose * p) {
-            if self.occupancy.is_solid_near(&point) || self.is_on_plane(&point) {
-                explained += 1;
-            } else if self.occupancy.is_free(&point) {
-                in_free += 1;
-            }
-        }
-        let share = |count: u32| count as f32 / points.len().max(1) as f32;
-        let beyond_chance = (share(explained) - self.by_chance) / (1.0 - self.by_chance);
-        ScanAgreement { explained: beyond_chance.max(0.0), in_free_space: share(in_free), through_solid: 0.0 }
+        points.iter().map(move |point| {
+            let placed = pose * point;
+            let end = if self.occupancy.is_solid_near(&placed) || self.is_on_plane(&placed) {
+                BeamEnd::AtSolid
+            } else if self.occupancy.is_free(&placed) {
+                BeamEnd::InFree
+            } else {
+                BeamEnd::Unknown
+            };
+            (point, end)
+        })
     }
 
     fn is_on_plane(&self, point: &Point3f) -> bool {
@@ -366,6 +377,14 @@ impl KnownMap for SpatialMap {
         let pose = self.register(&scan.points, guess, window);
         let (pose, information) = self.slide((&scan.thinned, &scan.judged, &scan.points), &pose, window);
         ScanMatch { pose, information, agreement: self.agreement(scan, &pose) }
+    }
+
+    fn beam_ends<'a>(
+        &'a self,
+        scan: &'a SpatialScan,
+        pose: &Rigid3,
+    ) -> impl Iterator<Item = (&'a Point3f, BeamEnd)> {
+        self.ends_of(&scan.judged, pose)
     }
 
     fn agreement(&self, scan: &SpatialScan, pose: &Rigid3) -> ScanAgreement {
