@@ -9,6 +9,7 @@ mod odometry;
 mod point_times;
 mod range;
 mod request;
+mod robot;
 mod tracking;
 
 use std::sync::Arc;

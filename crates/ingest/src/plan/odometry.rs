@@ -1,8 +1,11 @@
 //! Choosing odometry: a topic, or moving transforms of an odometry frame.
 
+use std::cmp::Reverse;
+
 use portolan_sensor::{SensorId, SensorKind};
 
 use super::request::Request;
+use super::robot::{shared_parts, why_apart};
 use super::{Chosen, PlanError, PlannedOdometry, SensorPlan};
 use crate::survey::Inventory;
 
@@ -50,7 +53,7 @@ fn take(chosen: &Chosen, child: &str, plan: &mut SensorPlan) {
     plan.odometry_interval = chosen.survey.interval;
 }
 
-/// Of several topics `odom` by name, then the one with most messages.
+/// Of several topics `odom` by name, then the one that is named like the range sensor, then the one with most messages.
 fn find_topic(inventory: &Inventory, plan: &mut SensorPlan) -> bool {
     let mut candidates: Vec<Chosen> = inventory
         .topics
@@ -63,8 +66,10 @@ fn find_topic(inventory: &Inventory, plan: &mut SensorPlan) -> bool {
         name if name.ends_with("/odom") => 1,
         _ => 2,
     };
-    candidates
-        .sort_by_key(|c| (rank(c.topic()), std::cmp::Reverse(c.survey.info.count.unwrap_or(c.survey.seen))));
+    let with_range =
+        |topic: &str| plan.range.first().map_or(0, |range| shared_parts(&range.source.topic, topic));
+    let count = |c: &Chosen| c.survey.info.count.unwrap_or(c.survey.seen);
+    candidates.sort_by_key(|c| (rank(c.topic()), Reverse(with_range(c.topic())), Reverse(count(c))));
     for chosen in candidates {
         let topic = chosen.topic().to_owned();
         if let Some(PlannedOdometry::Topic(used)) = &plan.odometry {
@@ -81,16 +86,17 @@ fn find_topic(inventory: &Inventory, plan: &mut SensorPlan) -> bool {
             continue;
         }
         let child = child_frame(&chosen, plan);
-        if inventory.tree.connected(&plan.tracking_frame, &child) {
-            take(&chosen, &child, plan);
-        } else {
-            let tracking = plan.tracking_frame.clone();
-            plan.warn(
-                format!(
-                    "odometry {topic} is not used: no transforms connect \"{child}\" with \"{tracking}\""
-                ),
-                "--urdf <robot description>",
-            );
+        match why_apart(&inventory.tree, &child, &plan.tracking_frame) {
+            None => take(&chosen, &child, plan),
+            Some(why) => {
+                let is_connected = inventory.tree.connected(&plan.tracking_frame, &child);
+                let change = if is_connected {
+                    format!("--odom {topic}")
+                } else {
+                    "--urdf <robot description>".to_owned()
+                };
+                plan.warn(format!("odometry {topic} is not used: {why}"), change);
+            }
         }
     }
     plan.odometry.is_some()

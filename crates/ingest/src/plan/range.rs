@@ -8,11 +8,13 @@ use portolan_sensor::SensorKind;
 use super::beam_elevation::beam_elevation;
 use super::point_times::times_of_points;
 use super::request::Request;
+use super::robot::why_apart;
 use super::{Chosen, PlanError, PlannedRange, SensorPlan};
 use crate::azimuth_time::AzimuthTimes;
 use crate::options::IngestOptions;
 use crate::range_noise::RangeNoise;
 use crate::survey::{Inventory, TopicSurvey, is_range};
+use crate::tf::is_fixed_frame;
 
 /// A scanner in 2D may lean this much.
 const MAX_TILT_DEGREES: f64 = 20.0;
@@ -20,9 +22,6 @@ const MAX_TILT_DEGREES: f64 = 20.0;
 const MIN_VERTICAL_DEGREES: f64 = 5.0;
 /// … and one with at least this horizontal field of view is from a lidar rather than a depth camera.
 const MIN_HORIZONTAL_DEGREES: f64 = 150.0;
-
-/// Frames that move against every sensor, by convention of programs for mapping: what they put there are results.
-const FIXED_FRAMES: [&str; 7] = ["map", "odom", "world", "earth", "camera_init", "odom_lidar", "global"];
 
 /// The range sensors: those asked for, or all that fit together. Sets the dimension.
 pub(super) fn choose<'a>(
@@ -76,6 +75,11 @@ fn is_cloud(chosen: &Chosen) -> bool {
     &*chosen.survey.info.type_name == "sensor_msgs/PointCloud2"
 }
 
+/// The option that asks for it.
+fn flag(chosen: &Chosen) -> &'static str {
+    if is_cloud(chosen) { "--points" } else { "--scan" }
+}
+
 /// Leaves out clouds in frames that no sensor has: results of mapping.
 fn without_results<'a>(
     candidates: Vec<&'a TopicSurvey>,
@@ -84,9 +88,7 @@ fn without_results<'a>(
 ) -> Vec<Chosen<'a>> {
     let is_result = |t: &TopicSurvey| {
         let frame = t.frame.as_deref().unwrap_or("");
-        // Robots put their name before it.
-        let name = frame.rsplit('/').next().unwrap_or(frame);
-        frame == options.map_frame || FIXED_FRAMES.contains(&name)
+        frame == options.map_frame || is_fixed_frame(frame)
     };
     let (results, sensors): (Vec<_>, Vec<_>) = candidates.into_iter().partition(|t| is_result(t));
     for result in results {
@@ -139,7 +141,7 @@ fn one_per_frame<'a>(sensors: Vec<Chosen<'a>>, plan: &mut SensorPlan) -> Vec<Cho
                 twin.topic(),
                 twin.frame()
             ),
-            format!("{} {}", if is_cloud(&loser) { "--points" } else { "--scan" }, loser.topic()),
+            format!("{} {}", flag(&loser), loser.topic()),
         );
     }
     kept
@@ -240,18 +242,24 @@ pub(super) fn connect(
                 "--tracking-frame",
             );
         }
-        if !inventory.tree.connected(&plan.tracking_frame, &frame) {
-            let why = format!("no transforms connect its frame \"{frame}\" with \"{}\"", plan.tracking_frame);
-            if asked_for {
+        let is_connected = inventory.tree.connected(&plan.tracking_frame, &frame);
+        if let Some(why) = why_apart(&inventory.tree, &frame, &plan.tracking_frame) {
+            if asked_for && !is_connected {
                 let detail = format!(
                     "{}: {why}; give them with --urdf, or choose another --tracking-frame",
                     chosen.topic()
                 );
                 return Err(PlanError::Frame { detail });
             }
-            plan.warn(format!("{} is not used: {why}", chosen.topic()), "--urdf <robot description>");
-            refused.push(chosen.topic().to_owned());
-            continue;
+            if !asked_for {
+                let change = match is_connected {
+                    true => format!("{} {}", flag(&chosen), chosen.topic()),
+                    false => "--urdf <robot description>".to_owned(),
+                };
+                plan.warn(format!("{} is not used: {why}", chosen.topic()), change);
+                refused.push(chosen.topic().to_owned());
+                continue;
+            }
         }
         let beam_elevation = beam_elevation(&chosen, is_cloud(&chosen), options, plan);
         let times = times_of_points(&chosen, is_cloud(&chosen), options.azimuth_times, plan);

@@ -1,6 +1,6 @@
 use std::f64::consts::PI;
 
-use portolan_recording::{MemoryRecording, Message, RecordedMessage};
+use portolan_recording::{Header, Imu, MemoryRecording, Message, Odometry, RecordedMessage};
 
 use super::*;
 use crate::options::ConfiguredSensors;
@@ -63,6 +63,75 @@ fn two_connected_scanners_and_odometry_are_used_together() {
     assert!(planned(&recording, &options).unwrap_err().to_string().contains("/front, /front_filtered"));
     let options = IngestOptions { tracking_frame: Some("wheel".into()), ..IngestOptions::default() };
     assert!(planned(&recording, &options).unwrap_err().to_string().contains("rear_laser"));
+}
+
+fn odometry_of(child: &str, time: f64) -> Message {
+    match odometry(time, time) {
+        Message::Odometry(odometry) => {
+            Message::Odometry(Odometry { child_frame_id: child.into(), ..odometry })
+        }
+        other => other,
+    }
+}
+
+fn imu_of(frame: &str, time: f64) -> Message {
+    match imu(time, [0.0, 0.0, 9.8]) {
+        Message::Imu(imu) => {
+            let header = Header { frame_id: frame.into(), ..imu.header.clone() };
+            Message::Imu(Imu { header, ..imu })
+        }
+        other => other,
+    }
+}
+
+#[test]
+fn of_two_robots_in_one_recording_one_is_mapped() {
+    let recording = recording(&[
+        ("/r1/scan", &|t| scan(t, "r1/laser")),
+        ("/r2/scan", &|t| scan(t, "r2/laser")),
+        ("/r1/odom", &|t| odometry_of("r1/base_link", t)),
+        ("/r2/odom", &|t| odometry_of("r2/base_link", t)),
+        ("/r2/imu", &|t| imu_of("r2/base_link", t)),
+        ("/tf", &|t| Message::Tf(moving("r1/odom", "r1/base_link", t, [t, 0.0, 0.0]))),
+        ("/r2_tf", &|t| Message::Tf(moving("r2_odom", "r2/base_link", t, [t, 0.0, 0.0]))),
+        ("/tf_static", &|_| {
+            Message::Tf(fixed(&[
+                ("world", "r1/odom", [0.0; 3], 0.0),
+                ("world", "r2_odom", [5.0, 0.0, 0.0], 0.0),
+                ("r1/base_link", "r1/laser", [0.3, 0.0, 0.0], 0.0),
+                ("r2/base_link", "r2/laser", [0.3, 0.0, 0.0], 0.0),
+            ]))
+        }),
+    ]);
+    let of = |topics_wanted: &[&str]| {
+        let range_topics = topics_wanted.iter().map(|t| (*t).to_owned()).collect();
+        let plan = planned(&recording, &IngestOptions { range_topics, ..IngestOptions::default() }).unwrap();
+        let odometry = match &plan.odometry {
+            Some(PlannedOdometry::Topic(o)) => o.topic.to_string(),
+            _ => String::new(),
+        };
+        let sensors: Vec<String> = topics(&plan).iter().map(|t| (*t).to_owned()).collect();
+        (sensors, odometry, plan.tracking_frame.clone(), plan.imu.is_some(), plan.notices)
+    };
+    let (sensors, odometry, tracking, has_imu, notices) = of(&["/r1/scan"]);
+    assert_eq!(
+        (sensors.concat(), odometry, tracking),
+        ("/r1/scan".into(), "/r1/odom".into(), "r1/base_link".into())
+    );
+    assert!(!has_imu, "that of the other robot: {notices:?}");
+    let (sensors, odometry, tracking, has_imu, _) = of(&["/r2/scan"]);
+    assert_eq!(
+        (sensors.concat(), odometry, tracking),
+        ("/r2/scan".into(), "/r2/odom".into(), "r2/base_link".into())
+    );
+    assert!(has_imu);
+    let (sensors, odometry, tracking, _, notices) = of(&[]);
+    assert_eq!(
+        (sensors.concat(), odometry, tracking),
+        ("/r2/scan".into(), "/r2/odom".into(), "r2/base_link".into())
+    );
+    let text: String = notices.iter().map(|n| format!("{} [{}]\n", n.what, n.change)).collect();
+    assert!(text.contains("only by \"r1/odom\": it is on another robot [--scan /r1/scan]"), "{text}");
 }
 
 #[test]

@@ -1,10 +1,13 @@
 //! Choosing the IMU and the frame whose motion is wanted.
 
+use std::cmp::Reverse;
+
 use portolan_geometry::{Dimension, Vector3};
 use portolan_issue::Severity;
 use portolan_sensor::SensorKind;
 
 use super::request::Request;
+use super::robot::{are_on_one_robot, shared_parts, why_apart};
 use super::{Chosen, ImuScale, PlanError, PlannedImu, SensorPlan};
 use crate::options::IngestOptions;
 use crate::statistics::ImuStatistics;
@@ -60,8 +63,9 @@ pub(super) fn choose_imu<'a>(
         .filter(|t| &*t.info.type_name == "sensor_msgs/Imu" && t.seen > 0)
         .map(Chosen::named_after_topic)
         .collect();
-    candidates
-        .sort_by_key(|c| (rank(c.topic()), std::cmp::Reverse(c.survey.info.count.unwrap_or(c.survey.seen))));
+    let with_range = |topic: &str| range.first().map_or(0, |range| shared_parts(range.topic(), topic));
+    let count = |c: &Chosen| c.survey.info.count.unwrap_or(c.survey.seen);
+    candidates.sort_by_key(|c| (rank(c.topic()), Reverse(with_range(c.topic())), Reverse(count(c))));
     let mut choice: Option<ImuChoice> = None;
     for chosen in candidates {
         if let Some(used) = &choice {
@@ -127,16 +131,17 @@ fn objection(chosen: &Chosen, inventory: &Inventory, range: &[Chosen]) -> Option
     if statistics.messages < 2 || statistics.rate < MIN_RATE {
         return Some(format!("it has only {:.1} samples a second", statistics.rate));
     }
-    (!is_connected(chosen, inventory, range)).then(|| {
-        let frame = chosen.frame();
-        format!("no transforms connect its frame \"{frame}\" with that of the range sensor (give them with --urdf)")
-    })
+    if is_connected(chosen, inventory, range) {
+        return None;
+    }
+    let why = range.first().and_then(|range| why_apart(&inventory.tree, chosen.frame(), range.frame()))?;
+    Some(format!("{why} (give them with --urdf)"))
 }
 
 /// Whether it is known where the IMU is relative to a range sensor.
 fn is_connected(chosen: &Chosen, inventory: &Inventory, range: &[Chosen]) -> bool {
     let frame = chosen.frame();
-    range.iter().any(|r| frame.is_empty() || inventory.tree.connected(frame, r.frame()))
+    range.iter().any(|r| frame.is_empty() || are_on_one_robot(&inventory.tree, frame, r.frame()))
 }
 
 /// Why an IMU cannot tell level: what it shows as up leans far against the upright of the robot, or of the scanner
@@ -146,8 +151,9 @@ fn is_connected(chosen: &Chosen, inventory: &Inventory, range: &[Chosen]) -> boo
 fn leaning(chosen: &Chosen, inventory: &Inventory, range: &[Chosen], dimension: Dimension) -> Option<String> {
     let up = Vector3::from(chosen.survey.imu.as_ref()?.mean_acceleration).try_normalize(1e-9)?;
     let tree = &inventory.tree;
-    let base = ["base_link", "base_footprint"].into_iter().find(|b| tree.connected(b, chosen.frame()));
-    let scanner = || range.iter().map(Chosen::frame).find(|f| tree.connected(f, chosen.frame()));
+    let base =
+        ["base_link", "base_footprint"].into_iter().find(|b| are_on_one_robot(tree, b, chosen.frame()));
+    let scanner = || range.iter().map(Chosen::frame).find(|f| are_on_one_robot(tree, f, chosen.frame()));
     let upright = base.or_else(|| scanner().filter(|_| dimension == Dimension::Two))?;
     let up = tree.lookup_static(upright, chosen.frame())?.rotation * up;
     // Planar scanners and their robots may be upside down: turns about z change nothing but their sign.
@@ -197,14 +203,15 @@ pub(super) fn choose_frame(
         };
         return Ok(bases().find(same_place).map_or(frame.clone(), str::to_owned));
     }
-    let fits = |base: &&str| !primary.is_empty() && tree.has_frame(base) && tree.connected(base, primary);
+    let fits =
+        |base: &&str| !primary.is_empty() && tree.has_frame(base) && are_on_one_robot(tree, base, primary);
     if let Some(base) = bases().find(fits) {
         return Ok(base.to_owned());
     }
     if primary.is_empty() {
         return Ok(odometry_child.unwrap_or_else(|| "base_link".to_owned()));
     }
-    if let Some(frame) = tree.frames().find(|f| *f != primary && tree.connected(f, primary)) {
+    if let Some(frame) = tree.frames().find(|f| *f != primary && are_on_one_robot(tree, f, primary)) {
         plan.note(
             format!(
                 "no frame of the recording is known as that of a robot; the motion of \"{primary}\" is mapped"
@@ -242,8 +249,9 @@ pub(super) fn connect_imu(
     } else {
         chosen.frame().to_owned()
     };
-    if !inventory.tree.connected(&tracking, &frame) {
-        let why = format!("no transforms connect its frame \"{frame}\" with \"{tracking}\"");
+    let is_connected = inventory.tree.connected(&tracking, &frame);
+    let why = why_apart(&inventory.tree, &frame, &tracking).filter(|_| !(asked_for && is_connected));
+    if let Some(why) = why {
         if asked_for {
             let detail = format!("{topic}: {why}; give them with --urdf, or choose another --tracking-frame");
             return Err(PlanError::Frame { detail });

@@ -17,6 +17,17 @@ const SAME_PLACE: f64 = 1e-9;
 /// Most frames of a tree; only damaged recordings have more.
 const MAX_FRAMES: usize = 5000;
 
+/// Words in the names of frames that move against every sensor, by convention of programs for mapping.
+const WORDS_OF_FIXED_FRAMES: [&str; 5] = ["map", "odom", "world", "earth", "global"];
+/// A name of such a frame without any of them.
+const CAMERA_INIT: &str = "camera_init";
+
+/// Whether a frame is called like one that stays where it is while robots move. Robots put their name before it.
+pub fn is_fixed_frame(frame: &str) -> bool {
+    let name = frame.rsplit('/').next().unwrap_or(frame);
+    name == CAMERA_INIT || name.split('_').any(|word| WORDS_OF_FIXED_FRAMES.contains(&word))
+}
+
 /// Why a transform is not to be had, or was not taken into the tree.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TfError {
@@ -338,6 +349,22 @@ impl TfTree {
     /// Whether two frames belong to one tree, moving or not.
     pub fn connected(&self, a: &str, b: &str) -> bool {
         a == b || self.paths(a, b).is_ok()
+    }
+
+    /// A frame between two of one tree that stays where it is while robots move, the first from `a`; none where no frame moves
+    /// between the two: then they move as one.
+    pub fn fixed_frame_between(&self, a: &str, b: &str) -> Option<&str> {
+        let (up, down) = self.paths(a, b).ok()?;
+        if self.lookup_static(a, b).is_some() {
+            return None;
+        }
+        let ancestor = match up.last() {
+            Some(top) => self.edge(*top).map(|edge| edge.parent),
+            None => self.index.get(a).copied(),
+        };
+        let mut path = up.iter().copied().chain(ancestor).chain(down.iter().rev().copied());
+        let name = |frame: usize| self.name(frame);
+        path.find(|frame| ![a, b].contains(&name(*frame)) && is_fixed_frame(name(*frame))).map(name)
     }
 
     /// `target_from_source` if no moving frame lies between the two.
