@@ -199,9 +199,9 @@ fn without_leaning<'a>(
 ) -> Vec<Chosen<'a>> {
     let leaning = |c: &Chosen| {
         let base = ["base_link", "base_footprint"].into_iter().find(|b| inventory.tree.has_frame(b))?;
-        let base_from_scan = inventory.tree.lookup_static(base, c.frame())?;
-        // Upside down is fine.
-        let upright = (base_from_scan.rotation * Vector3::z()).z.abs();
+        // Upside down is fine. One that is tilted to and fro counts as it leans most.
+        let poses = inventory.tree.lookup_often(base, c.frame());
+        let upright = poses.iter().map(|pose| (pose.rotation * Vector3::z()).z.abs()).reduce(f64::min)?;
         (upright < MAX_TILT_DEGREES.to_radians().cos()).then_some(upright.acos().to_degrees())
     };
     if keep_one && scans.iter().all(|c| leaning(c).is_some()) {

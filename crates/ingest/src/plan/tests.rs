@@ -1,6 +1,6 @@
 use std::f64::consts::PI;
 
-use portolan_recording::{Header, Imu, MemoryRecording, Message, Odometry, RecordedMessage};
+use portolan_recording::{Header, Imu, MemoryRecording, Message, Odometry, RecordedMessage, TfMessage};
 
 use super::*;
 use crate::options::ConfiguredSensors;
@@ -31,6 +31,14 @@ fn two_connected_scanners_and_odometry_are_used_together() {
         ("/rear", &|t| scan(t, "rear_laser")),
         ("/front_filtered", &|t| scan(t, "front_laser")),
         ("/vertical", &|t| scan(t, "vertical_laser")),
+        ("/tilting", &|t| scan(t, "tilting_laser")),
+        ("/panning", &|t| scan(t, "panning_laser")),
+        ("/tf", &|t| {
+            Message::Tf(turned("base_link", "tilting_laser", t, [0.0, (0.3 * (3.0 * t).sin()).sin(), 0.0]))
+        }),
+        ("/tf_of_pan", &|t| {
+            Message::Tf(turned("base_link", "panning_laser", t, [0.0, 0.0, (0.3 * t).sin()]))
+        }),
         ("/lost", &|t| scan(t, "nowhere")),
         ("/odom", &|t| odometry(t, t)),
         ("/odometry/filtered", &|t| odometry(t, t)),
@@ -43,13 +51,17 @@ fn two_connected_scanners_and_odometry_are_used_together() {
         }),
     ]);
     let plan = planned(&recording, &IngestOptions::default()).unwrap();
-    assert_eq!((topics(&plan), plan.tracking_frame.as_str()), (vec!["/front", "/rear"], "base_link"));
+    assert_eq!(
+        (topics(&plan), plan.tracking_frame.as_str()),
+        (vec!["/front", "/panning", "/rear"], "base_link")
+    );
     assert_eq!(plan.dimension, Dimension::Two);
     assert!(matches!(&plan.odometry, Some(PlannedOdometry::Topic(o)) if &*o.topic == "/odom"));
     let text: String = plan.notices.iter().map(|n| format!("{} [{}]\n", n.what, n.change)).collect();
     for expected in [
         "/front_filtered is not used",
         "/vertical is not used: its plane leans 90°",
+        "/tilting is not used: its plane leans 34°",
         "/lost is not used",
         "--odom /odometry/filtered",
     ] {
@@ -63,6 +75,15 @@ fn two_connected_scanners_and_odometry_are_used_together() {
     assert!(planned(&recording, &options).unwrap_err().to_string().contains("/front, /front_filtered"));
     let options = IngestOptions { tracking_frame: Some("wheel".into()), ..IngestOptions::default() };
     assert!(planned(&recording, &options).unwrap_err().to_string().contains("rear_laser"));
+}
+
+/// A frame turned by a quaternion with this vector part.
+fn turned(parent: &str, child: &str, seconds: f64, [x, y, z]: [f64; 3]) -> TfMessage {
+    let mut message = moving(parent, child, seconds, [0.0; 3]);
+    for turned in &mut message.transforms {
+        turned.transform.orientation_xyzw = [x, y, z, (1.0 - x * x - y * y - z * z).sqrt()];
+    }
+    message
 }
 
 fn odometry_of(child: &str, time: f64) -> Message {

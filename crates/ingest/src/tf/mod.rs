@@ -7,13 +7,15 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 pub use input::{TfInput, frame_name};
-use portolan_geometry::{Quaternion, Rigid3, Time, TransformBuffer};
+use portolan_geometry::{Duration, Quaternion, Rigid3, Time, TransformBuffer};
 use portolan_issue::{Issue, IssueKind};
 
 /// Most poses that are kept of one moving frame.
 const BUFFER_POSES: usize = 100_000;
 /// Poses that differ by less are the same (metres, radians).
 const SAME_PLACE: f64 = 1e-9;
+/// Places of moving frames are looked up in so many steps over what is known of them.
+const LOOKED_UP_OFTEN: i32 = 64;
 /// Most frames of a tree; only damaged recordings have more.
 const MAX_FRAMES: usize = 5000;
 
@@ -377,6 +379,28 @@ impl TfTree {
             path.iter().all(|f| !matches!(self.edge(*f), Some(Edge { motion: Motion::Moving(_), .. })))
         };
         (fixed(&up) && fixed(&down)).then(|| self.lookup(target, source, Time::MIN).ok()).flatten()
+    }
+
+    /// `target_from_source` at times that are spread evenly over what is known of moving frames between the two; once if none
+    /// is between them.
+    pub fn lookup_often(&self, target: &str, source: &str) -> Vec<Rigid3> {
+        let Ok((up, down)) = self.paths(target, source) else { return Vec::new() };
+        let buffers = up.iter().chain(&down).filter_map(|frame| match &self.edge(*frame)?.motion {
+            Motion::Moving(moving) => Some(&moving.buffer),
+            Motion::Static(_) => None,
+        });
+        let (mut first, mut last) = (Time::MIN, Time::MAX);
+        for buffer in buffers {
+            first = first.max(buffer.earliest_time().unwrap_or(Time::MAX));
+            last = last.min(buffer.latest_time().unwrap_or(Time::MIN));
+        }
+        if (first, last) == (Time::MIN, Time::MAX) {
+            return self.lookup(target, source, Time::MIN).into_iter().collect();
+        }
+        let span = last.seconds_since(first);
+        let at = |i: i32| first + Duration::from_seconds(span * f64::from(i) / f64::from(LOOKED_UP_OFTEN));
+        let times = (0..=LOOKED_UP_OFTEN).map(at).filter(|_| span >= 0.0);
+        times.filter_map(|time| self.lookup(target, source, time).ok()).collect()
     }
 
     /// Moving frames as (parent, child), in ascending order of the child.
