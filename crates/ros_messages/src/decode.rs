@@ -39,6 +39,7 @@ impl Decoder {
                 Message::MultiEchoLaserScan(self.laser_scan(r, echoes)?)
             }
             MessageKind::PointCloud2 => Message::PointCloud2(self.point_cloud(r)?),
+            MessageKind::PointCloud1 => Message::PointCloud2(self.point_cloud_1(r)?),
             MessageKind::Imu => Message::Imu(self.imu(r)?),
             MessageKind::Odometry => Message::Odometry(self.odometry(r)?),
             MessageKind::NavSatFix => Message::NavSatFix(self.nav_sat_fix(r)?),
@@ -189,21 +190,31 @@ impl Decoder {
             data.extend_from_slice(&f32::from(reflectivity).to_le_bytes());
             data.extend_from_slice(&offset_time.to_le_bytes());
         }
-        let field = |name: &str, offset: u32, field_type: FieldType| PointField {
-            name: name.to_owned(),
-            offset,
-            field_type: Some(field_type),
-            count: 1,
-        };
-        let fields = vec![
-            field("x", 0, FieldType::Float32),
-            field("y", 4, FieldType::Float32),
-            field("z", 8, FieldType::Float32),
-            field("intensity", 12, FieldType::Float32),
-            field("offset_time", 16, FieldType::Uint32),
-        ];
+        let time = PointField { field_type: Some(FieldType::Uint32), ..float_field("offset_time", 16) };
+        let names = ["x", "y", "z", "intensity"];
+        let fields = names.iter().zip(0..).map(|(name, i)| float_field(name, 4 * i)).chain([time]).collect();
         let (width, row_step) = (count as u32, data.len() as u32);
         let (height, point_step, is_bigendian, is_dense) = (1, 20, false, true);
+        Ok(PointCloud2 { header, height, width, fields, is_bigendian, point_step, row_step, data, is_dense })
+    }
+
+    /// Points of which each channel holds another value, as a cloud. Channels with a value for some points alone are left out.
+    fn point_cloud_1(&mut self, r: &mut WireReader<'_>) -> Decoded<PointCloud2> {
+        let header = self.header(r)?;
+        let points: Vec<[f32; 3]> = sequence(r, 12, |r| Ok([r.f32()?, r.f32()?, r.f32()?]))?;
+        let mut channels: Vec<(String, Vec<f32>)> =
+            sequence(r, 8, |r| Ok((r.string()?.into_owned(), r.f32_sequence()?)))?;
+        channels.retain(|(_, values)| values.len() == points.len());
+        let mut data = Vec::new();
+        for (i, point) in points.iter().enumerate() {
+            let of_channels = channels.iter().filter_map(|(_, values)| values.get(i));
+            point.iter().chain(of_channels).for_each(|value| data.extend_from_slice(&value.to_le_bytes()));
+        }
+        let names =
+            ["x", "y", "z"].map(str::to_owned).into_iter().chain(channels.into_iter().map(|(name, _)| name));
+        let fields: Vec<PointField> = names.zip(0..).map(|(name, i)| float_field(&name, 4 * i)).collect();
+        let (width, row_step) = (points.len() as u32, data.len() as u32);
+        let (height, point_step, is_bigendian, is_dense) = (1, 4 * fields.len() as u32, false, true);
         Ok(PointCloud2 { header, height, width, fields, is_bigendian, point_step, row_step, data, is_dense })
     }
 
@@ -217,6 +228,11 @@ impl Decoder {
     fn landmark_list(&mut self, r: &mut WireReader<'_>) -> Decoded<LandmarkList> {
         Ok(LandmarkList { header: self.header(r)?, landmarks: sequence(r, 76, landmark_entry)? })
     }
+}
+
+/// A number of four bytes in each point of a cloud.
+fn float_field(name: &str, offset: u32) -> PointField {
+    PointField { name: name.to_owned(), offset, field_type: Some(FieldType::Float32), count: 1 }
 }
 
 /// A sequence of composite elements that take at least `element_bytes` each.

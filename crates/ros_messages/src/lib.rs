@@ -35,6 +35,8 @@ pub enum MessageKind {
     MultiEchoLaserScan,
     /// `sensor_msgs/PointCloud2`.
     PointCloud2,
+    /// `sensor_msgs/PointCloud`, the form of before 2012.
+    PointCloud1,
     /// `sensor_msgs/Imu`.
     Imu,
     /// `nav_msgs/Odometry`.
@@ -64,6 +66,7 @@ impl MessageKind {
             "sensor_msgs/LaserScan" => Self::LaserScan,
             "sensor_msgs/MultiEchoLaserScan" => Self::MultiEchoLaserScan,
             "sensor_msgs/PointCloud2" => Self::PointCloud2,
+            "sensor_msgs/PointCloud" => Self::PointCloud1,
             "sensor_msgs/Imu" => Self::Imu,
             "nav_msgs/Odometry" => Self::Odometry,
             "sensor_msgs/NavSatFix" => Self::NavSatFix,

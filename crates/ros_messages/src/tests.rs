@@ -178,6 +178,31 @@ fn definitions_are_complete() {
 }
 
 #[test]
+fn points_with_channels_are_a_cloud() {
+    let mut bytes = vec![0; 12];
+    bytes.extend(5u32.to_le_bytes());
+    bytes.extend(b"laser");
+    bytes.extend(2u32.to_le_bytes());
+    (1..=6u8).for_each(|v| bytes.extend(f32::from(v).to_le_bytes()));
+    bytes.extend(2u32.to_le_bytes());
+    for (name, values) in [("intensity", vec![7.0f32, 8.0]), ("unfinished", vec![9.0f32])] {
+        bytes.extend((name.len() as u32).to_le_bytes());
+        bytes.extend(name.as_bytes());
+        bytes.extend((values.len() as u32).to_le_bytes());
+        values.iter().for_each(|v| bytes.extend(v.to_le_bytes()));
+    }
+    let kind = MessageKind::from_type_name("sensor_msgs/PointCloud").unwrap();
+    let Message::PointCloud2(cloud) = decode(kind, Encoding::Ros1, &bytes).unwrap() else { panic!() };
+    let names: Vec<&str> = cloud.fields.iter().map(|field| field.name.as_str()).collect();
+    assert_eq!((names, cloud.width, cloud.point_step), (vec!["x", "y", "z", "intensity"], 2, 16));
+    let values: Vec<f32> = cloud.data.chunks(4).map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect();
+    assert_eq!(values, [1.0, 2.0, 3.0, 7.0, 4.0, 5.0, 6.0, 8.0]);
+    for length in 0..bytes.len() {
+        assert!(decode(kind, Encoding::Ros1, &bytes[..length]).is_err());
+    }
+}
+
+#[test]
 fn points_of_livox_are_a_cloud() {
     let mut bytes = vec![0; 4];
     bytes.extend(12u32.to_le_bytes());

@@ -34,7 +34,10 @@ struct TopicOfPackets {
 
 /// Types whose messages are decoded as clouds, each by itself.
 fn holds_cloud(type_name: &str) -> bool {
-    MessageKind::from_type_name(type_name) == Some(MessageKind::LivoxPoints)
+    matches!(
+        MessageKind::from_type_name(type_name),
+        Some(MessageKind::LivoxPoints | MessageKind::PointCloud1)
+    )
 }
 
 fn holds_packets(type_name: &str) -> bool {
