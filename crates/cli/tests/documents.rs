@@ -10,13 +10,17 @@ fn repository() -> PathBuf {
 
 /// All Markdown files below a folder, but those that programs write.
 fn markdown_files(folder: &Path, found: &mut Vec<PathBuf>) {
+    files_called(".md", folder, found);
+}
+
+fn files_called(ending: &str, folder: &Path, found: &mut Vec<PathBuf>) {
     let mut entries: Vec<PathBuf> = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()).collect();
     entries.sort();
     for path in entries {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         if path.is_dir() && !name.starts_with('.') && !["target", "book"].contains(&name.as_str()) {
-            markdown_files(&path, found);
-        } else if name.ends_with(".md") {
+            files_called(ending, &path, found);
+        } else if name.ends_with(ending) {
             found.push(path);
         }
     }
@@ -114,6 +118,37 @@ fn commands_are_understood() {
     }
     assert!(count > 50, "{count}");
     assert!(wrong.is_empty(), "commands that the program does not understand:\n{}", wrong.join("\n"));
+}
+
+/// Words of a text that are options.
+fn options_in(text: &str) -> impl Iterator<Item = String> {
+    let words = text.split(|c: char| !(c.is_ascii_alphanumeric() || c == '-' || c == '_'));
+    let options = words.filter_map(|word| word.strip_prefix("--")).map(|name| name.trim_end_matches('-'));
+    options.filter(|name| name.starts_with(|c: char| c.is_ascii_lowercase())).map(str::to_owned)
+}
+
+/// What messages advise can be done. The page of verbs, which lists all options, is current by another test.
+#[test]
+fn options_that_messages_name_are_there() {
+    let verbs = std::fs::read_to_string(repository().join("docs/src/reference/verbs.md")).unwrap();
+    let known: std::collections::BTreeSet<String> = options_in(&verbs).collect();
+    let mut sources = Vec::new();
+    files_called(".rs", &repository().join("crates"), &mut sources);
+    // Those of Cartographer's programs are other ones.
+    sources.retain(|path| {
+        !path.components().any(|part| ["tests", "examples", "compat"].contains(&part.as_os_str().to_str().unwrap()))
+    });
+    let (mut count, mut wrong) = (0, Vec::new());
+    for path in &sources {
+        let source = std::fs::read_to_string(path).unwrap();
+        for line in source.lines().filter(|line| !line.trim_start().starts_with("//")) {
+            count += options_in(line).count();
+            let unknown = options_in(line).filter(|option| !known.contains(option));
+            wrong.extend(unknown.map(|option| format!("{}: --{option}", path.display())));
+        }
+    }
+    assert!(count > 200, "{count}");
+    assert!(wrong.is_empty(), "options that no verb has:\n{}", wrong.join("\n"));
 }
 
 const ADVICE: &str = "is not current: run scripts/reference.sh";

@@ -13,7 +13,7 @@ const NO_SCANS: Kind = Kind {
     name: "no usable scan",
     severity: Severity::Error,
     effect: "there is no scan to make a map of",
-    to_do: "record for longer; or map without the sensor that ends too early (--no-imu, --no-odom)",
+    to_do: "record for longer; or map without the sensor that ends too early (--no-imu, --no-odometry)",
 };
 
 /// When topics measured.

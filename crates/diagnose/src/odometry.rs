@@ -29,7 +29,7 @@ const NO_MOTION: Kind = Kind {
     name: "no motion",
     severity: Severity::Info,
     effect: "odometry that never moves holds the map back if the robot does move",
-    to_do: "leave it out with --no-odom if the robot did move",
+    to_do: "leave it out with --no-odometry if the robot did move",
 };
 
 /// Nothing on wheels or legs is faster than this, m/s and rad/s.

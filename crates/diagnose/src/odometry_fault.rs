@@ -24,6 +24,10 @@ const KEPT: f64 = 0.8;
 const LEFT: f64 = 0.5;
 /// … and less than this is left with the factor.
 const LEFT_OTHERWISE: f64 = 0.2;
+/// Odometry stands in a window in which it goes less than this share of the way of scans, and altogether if it does in this
+/// share of windows. In other units it goes so little, too, but is explained by a factor.
+const OF_STANDING: f64 = 1e-4;
+const MOSTLY_STANDS: f64 = 0.95;
 /// Turns that correlate so well agree but for a factor, and less than this they do not agree; a factor between these is a matter of
 /// calibration.
 const ALIKE: f64 = 0.8;
@@ -42,6 +46,8 @@ pub enum OdometryFault {
         /// To the left of them by this angle, radians.
         angle: f64,
     },
+    /// It stays where it is while scans move.
+    Stands,
     /// Neither its turns nor its ways are those of scans, and no factor makes them so.
     Unlike,
 }
@@ -62,7 +68,11 @@ impl OdometryFault {
             // Odometry that turns wrongly has its ways in wrong directions.
             return Some(Self::Turns(1.0 / slope));
         }
-        let fit = Fit::of(windows(poses, motions, odometry_from_scanner, lag))?;
+        let pairs = windows(poses, motions, odometry_from_scanner, lag);
+        if stands(&pairs) {
+            return Some(Self::Stands);
+        }
+        let fit = Fit::of(pairs)?;
         if fit.as_said < LEFT {
             return None;
         }
@@ -95,6 +105,7 @@ impl fmt::Display for OdometryFault {
                     false => write!(f, ", {:.0}° to the {side} of them", degrees.abs()),
                 }
             }
+            Self::Stands => write!(f, "stays where it is while scans move"),
             Self::Unlike => write!(f, "moves otherwise than scans"),
         }
     }
@@ -129,6 +140,12 @@ fn windows(
         }
     }
     pairs
+}
+
+/// Whether odometry goes nowhere in nearly all windows in which the scanner moves.
+fn stands(pairs: &[Pair]) -> bool {
+    let standing = pairs.iter().filter(|(scans, wheels)| wheels.norm() < OF_STANDING * scans.norm()).count();
+    pairs.len() >= ENOUGH_WINDOWS && standing as f64 >= MOSTLY_STANDS * pairs.len() as f64
 }
 
 /// Ways of odometry laid over those of scans.
@@ -190,6 +207,17 @@ mod tests {
             motions.push((at(i), at(i + 1), step));
         }
         OdometryFault::find((&of_wheels, &of_scans), (&poses, &motions), (&Rigid3::identity(), 0.0))
+    }
+
+    #[test]
+    fn odometry_that_stands_while_scans_move_is_told_and_wheels_that_stall_for_a_while_are_not() {
+        assert_eq!(fault(|_| Rigid2::identity()), Some(OdometryFault::Stands));
+        let steps = std::cell::Cell::new(0);
+        let stalls = |m| {
+            steps.set(steps.get() + 1);
+            if steps.get() % 3 == 0 || steps.get() > 400 { Rigid2::identity() } else { m }
+        };
+        assert_ne!(fault(stalls), Some(OdometryFault::Stands));
     }
 
     #[test]

@@ -219,7 +219,7 @@ pub(crate) fn tell_turns(first: (&str, &[Turn]), second: (&str, &[Turn]), findin
             Severity::Warning,
             format!("the rotation of the sensor does not agree with {a} (correlation {correlation:.2})"),
             "prediction is of little use; the map may break when the robot turns",
-            "see whether both are of the same robot and have sensible stamps; leave one out with --no-odom or --no-imu",
+            "see whether both are of the same robot and have sensible stamps; leave one out with --no-odometry or --no-imu",
         );
     } else if correlation > 0.7 && !(0.75..=1.33).contains(&slope) {
         let degrees = if (45.0..70.0).contains(&slope) || (0.014..0.022).contains(&slope) {
@@ -231,7 +231,7 @@ pub(crate) fn tell_turns(first: (&str, &[Turn]), second: (&str, &[Turn]), findin
             Severity::Warning,
             format!("the sensor rotates {slope:.2} times as far as {a}{degrees}"),
             "predicted rotation is off; matching must make up for it",
-            "calibrate the wheel base or the gyroscope, or leave it out with --no-odom or --no-imu",
+            "calibrate the wheel base or the gyroscope, or leave it out with --no-odometry or --no-imu",
         );
     }
 }

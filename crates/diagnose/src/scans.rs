@@ -244,7 +244,7 @@ mod tests {
         let (mut checks, mut findings) = (RangeChecks::default(), Findings::default());
         for (seconds, range) in scans {
             let points = vec![TimedPoint { position: Point3f::new(*range, 0.0, 0.0), time: 0.0 }];
-            let time = Time::from_seconds(*seconds);
+            let time = Time::from_ticks(0) + portolan_geometry::Duration::from_seconds(*seconds);
             let points = TimedPoints { time, points, intensities: Vec::new() };
             checks.add_points("/scan", "laser", &points, &mut findings);
         }

@@ -67,6 +67,7 @@ fn odometry_that_moves_otherwise_than_scans_is_named_and_left_out() {
             |pose| Rigid2::new(pose.translation.x, -pose.translation.y, -pose.angle),
             "turns the other way than scans",
         ),
+        (|_| Rigid2::identity(), "stays where it is while scans move: it is left out"),
         (
             |pose| Rigid2 { translation: pose.translation * 100.0, ..pose },
             "times as far as scans: it is left out",

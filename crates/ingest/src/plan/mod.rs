@@ -289,7 +289,7 @@ impl SensorPlan {
         let Some(PlannedOdometry::Topic(odometry)) = &self.odometry else { return };
         let topic = odometry.topic.clone();
         let (so, change) = match is_wanted {
-            true => ("it is used as it is all the same", "--no-odom".to_owned()),
+            true => ("it is used as it is all the same", "--no-odometry".to_owned()),
             false => ("poses that repeat are left out", format!("--odom {topic}")),
         };
         self.warn(format!("the odometry {topic} {how}: {so}"), change);
@@ -334,7 +334,7 @@ impl SensorPlan {
         let Some(PlannedOdometry::Topic(odometry)) = &self.odometry else { return };
         let topic = odometry.topic.clone();
         let (so, change) = match is_wanted {
-            true => ("it is used all the same", "--no-odom".to_owned()),
+            true => ("it is used all the same", "--no-odometry".to_owned()),
             false => ("it is left out", format!("--odom {topic}")),
         };
         let mirrored = match is_mirrored {

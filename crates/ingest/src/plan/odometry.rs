@@ -118,7 +118,7 @@ fn find_transforms(inventory: &Inventory, plan: &mut SensorPlan) {
         plan.odometry_interval = inventory.tree.moving_interval(child);
         plan.note(
             format!("the transforms from \"{parent}\" to \"{child}\" are used as odometry"),
-            "--no-odom",
+            "--no-odometry",
         );
     }
 }
