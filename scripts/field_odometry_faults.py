@@ -122,7 +122,7 @@ def faulty(text, fault):
         poses.append(tuple(float(v) for v in words[i][end + 3 : end + 6]))
         times.append(float(words[i][end + 6]))
     steps = fault([between(a, b) for a, b in zip(poses, poses[1:])], times)
-    stands = [step == (0.0, 0.0, 0.0) for step in steps]
+    stands = [step[:2] == (0.0, 0.0) for step in steps]
     changed = [poses[0]]
     for step in steps:
         changed.append(compose(changed[-1], step))

@@ -136,7 +136,9 @@ fn options_that_messages_name_are_there() {
     files_called(".rs", &repository().join("crates"), &mut sources);
     // Those of Cartographer's programs are other ones.
     sources.retain(|path| {
-        !path.components().any(|part| ["tests", "examples", "compat"].contains(&part.as_os_str().to_str().unwrap()))
+        !path
+            .components()
+            .any(|part| ["tests", "examples", "compat"].contains(&part.as_os_str().to_str().unwrap()))
     });
     let (mut count, mut wrong) = (0, Vec::new());
     for path in &sources {

@@ -307,7 +307,7 @@ impl Check<'_> {
                 )
             });
         }
-        let Some(PlannedOdometry::Topic(odometry)) = &plan.odometry else { return Ok(()) };
+        let Some(PlannedOdometry { source: odometry, .. }) = &plan.odometry else { return Ok(()) };
         if let Some(hold) = compared.hold {
             self.findings.add(&HELD_BACK, &odometry.topic, || format!("odometry {hold}"));
         }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use portolan_geometry::Time;
-use portolan_ingest::{PlannedOdometry, PlannedSensor, SensorPlan};
+use portolan_ingest::{PlannedSensor, SensorPlan};
 use portolan_issue::Severity;
 
 use crate::finding::{Findings, Kind};
@@ -36,10 +36,8 @@ impl Coverage {
 
     /// Says so if no scan that the plan uses lies within the time of the IMU and odometry that it uses.
     pub fn finish(&self, plan: &SensorPlan, findings: &mut Findings) {
-        let odometry = match &plan.odometry {
-            Some(PlannedOdometry::Topic(source)) => Some(source),
-            _ => None,
-        };
+        let odometry = plan.odometry.as_ref().filter(|odometry| odometry.topic().is_some());
+        let odometry = odometry.map(|odometry| &odometry.source);
         let others = plan.imu.as_ref().map(|imu| &imu.source).into_iter().chain(odometry);
         let span = |s: &PlannedSensor| {
             let (first, last) = self.spans.get(&s.topic)?;

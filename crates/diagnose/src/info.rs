@@ -194,12 +194,7 @@ fn describe_plan(inventory: &Inventory, options: &IngestOptions) -> Result<PlanD
         dimension: plan.dimension,
         tracking_frame: plan.tracking_frame.clone(),
         range: plan.range.iter().map(|r| r.source.topic.to_string()).collect(),
-        odometry: plan.odometry.as_ref().map(|o| match o {
-            PlannedOdometry::Topic(source) => source.topic.to_string(),
-            PlannedOdometry::Transforms { parent, child, .. } => {
-                format!("transforms from {parent} to {child}")
-            }
-        }),
+        odometry: plan.odometry.as_ref().map(PlannedOdometry::name),
         imu: plan.imu.as_ref().map(|i| i.source.topic.to_string()),
         notices: plan.notices,
     })

@@ -60,6 +60,10 @@ impl OdometryFault {
         (poses, motions): (&TransformBuffer, &[TimedMotion]),
         (odometry_from_scanner, lag): (&Rigid3, f64),
     ) -> Option<Self> {
+        let windows = windows(poses, motions, odometry_from_scanner, lag);
+        if stands(&windows) {
+            return Some(Self::Stands);
+        }
         let agreement = compare(of_wheels, of_scans).filter(|agreement| agreement.turned >= ENOUGH_TURNS);
         if let Some(Agreement { correlation, slope, .. }) = agreement
             && correlation.abs() > ALIKE
@@ -68,11 +72,7 @@ impl OdometryFault {
             // Odometry that turns wrongly has its ways in wrong directions.
             return Some(Self::Turns(1.0 / slope));
         }
-        let pairs = windows(poses, motions, odometry_from_scanner, lag);
-        if stands(&pairs) {
-            return Some(Self::Stands);
-        }
-        let fit = Fit::of(pairs)?;
+        let fit = Fit::of(windows.into_iter().map(|window| window.ways).collect())?;
         if fit.as_said < LEFT {
             return None;
         }
@@ -114,15 +114,22 @@ impl fmt::Display for OdometryFault {
 /// Ways that scans and odometry tell, metres in the frame of the scanner.
 type Pair = (Complex<f64>, Complex<f64>);
 
+/// What scans and odometry tell of a window in which the scanner moved.
+struct Window {
+    ways: Pair,
+    /// How far the frame of the odometry went, metres: the scanner beside it goes where that turns, too.
+    gone: f64,
+}
+
 fn windows(
     poses: &TransformBuffer,
     motions: &[TimedMotion],
     odometry_from_scanner: &Rigid3,
     lag: f64,
-) -> Vec<Pair> {
+) -> Vec<Window> {
     let lag = Duration::from_seconds(lag);
-    let pose = |time| Some(project_2d(&(poses.lookup(time - lag)? * odometry_from_scanner)));
-    let (mut pairs, mut window): (_, Option<TimedMotion>) = (Vec::new(), None);
+    let scanner = |pose: &Rigid3| project_2d(&(pose * odometry_from_scanner));
+    let (mut windows, mut window): (_, Option<TimedMotion>) = (Vec::new(), None);
     for (begin, end, motion) in motions {
         let joined =
             window.filter(|(_, until, _)| until == begin).map(|(from, _, so_far)| (from, so_far * *motion));
@@ -133,19 +140,21 @@ fn windows(
         }
         window = None;
         if moved.translation.norm() >= LEAST_WAY
-            && let (Some(first), Some(second)) = (pose(from), pose(*end))
+            && let (Some(first), Some(second)) = (poses.lookup(from - lag), poses.lookup(*end - lag))
         {
+            let gone = (second.translation.vector - first.translation.vector).norm();
+            let (first, second) = (scanner(&first), scanner(&second));
             let way = |motion: Rigid2| Complex::new(motion.translation.x, motion.translation.y);
-            pairs.push((way(moved), way(first.inverse() * second)));
+            windows.push(Window { ways: (way(moved), way(first.inverse() * second)), gone });
         }
     }
-    pairs
+    windows
 }
 
 /// Whether odometry goes nowhere in nearly all windows in which the scanner moves.
-fn stands(pairs: &[Pair]) -> bool {
-    let standing = pairs.iter().filter(|(scans, wheels)| wheels.norm() < OF_STANDING * scans.norm()).count();
-    pairs.len() >= ENOUGH_WINDOWS && standing as f64 >= MOSTLY_STANDS * pairs.len() as f64
+fn stands(windows: &[Window]) -> bool {
+    let standing = windows.iter().filter(|window| window.gone < OF_STANDING * window.ways.0.norm()).count();
+    windows.len() >= ENOUGH_WINDOWS && standing as f64 >= MOSTLY_STANDS * windows.len() as f64
 }
 
 /// Ways of odometry laid over those of scans.
@@ -212,6 +221,7 @@ mod tests {
     #[test]
     fn odometry_that_stands_while_scans_move_is_told_and_wheels_that_stall_for_a_while_are_not() {
         assert_eq!(fault(|_| Rigid2::identity()), Some(OdometryFault::Stands));
+        assert_eq!(fault(|m| Rigid2::new(0.0, 0.0, m.angle)), Some(OdometryFault::Stands));
         let steps = std::cell::Cell::new(0);
         let stalls = |m| {
             steps.set(steps.get() + 1);

@@ -7,9 +7,11 @@ use std::sync::Arc;
 use portolan_geometry::{Duration, Rigid2, Rigid3, Time, TransformBuffer, Vector3, yaw};
 use portolan_ingest::{
     HeldPose, Inventory, PlannedOdometry, PlannedRange, PlannedSensor, RangeNoiseEstimator, SensorPlan,
-    StampJitter, pose_of, read_without_repeats,
+    StampJitter, is_tf, pose_of, read_without_repeats,
 };
-use portolan_recording::{Message, Recording, RecordingError, StampPattern, TopicInfo};
+use portolan_recording::{
+    Message, Odometry, Recording, RecordingError, StampPattern, TfMessage, TopicInfo, TransformStamped,
+};
 
 use crate::beam_times::{ScanDuration, scan_duration};
 use crate::finding::Findings;
@@ -68,15 +70,14 @@ pub fn compare_scans(
     inventory: &Inventory,
     plan: &SensorPlan,
 ) -> Result<ScanComparison, RecordingError> {
-    let odometry = match &plan.odometry {
-        Some(PlannedOdometry::Topic(odometry)) => Some(odometry),
-        _ => None,
-    };
-    let mut wheels = Wheels::default();
+    let odometry = plan.odometry.as_ref().map(|odometry| &odometry.source);
+    let mut wheels = Wheels { planned: plan.odometry.as_ref(), ..Wheels::default() };
     let mut scanners: Vec<Scanner> = plan.range.iter().map(Scanner::new).collect();
     let is_wanted = |topic: &TopicInfo| {
-        odometry.is_some_and(|odometry| odometry.topic == topic.topic)
-            || plan.range.iter().any(|range| range.source.topic == topic.topic)
+        plan.odometry.as_ref().is_some_and(|odometry| match odometry.topic() {
+            Some(of_odometry) => *of_odometry == topic.topic,
+            None => is_tf(&topic.type_name),
+        }) || plan.range.iter().any(|range| range.source.topic == topic.topic)
     };
     let mut reader = read_without_repeats(recording, &is_wanted)?;
     let mut first = None;
@@ -90,24 +91,21 @@ pub fn compare_scans(
         }
     }
     let noises = scanners.iter().filter_map(Scanner::range_noise).collect();
-    // Stamps that are not believed tell nothing of motion.
-    scanners
-        .retain(|scanner| !StampPattern::of(&scanner.stamps).is_some_and(|pattern| pattern.is_disturbed()));
+    // Stamps that are not believed tell nothing of motion but that odometry has none.
     let mut jitters = Vec::new();
-    for scanner in &mut scanners {
+    for scanner in scanners.iter_mut().filter(|scanner| !scanner.has_disturbed_stamps()) {
         let Some(jitter) = scanner.take_jitter_away() else { continue };
         let mut topics = vec![scanner.planned.source.topic.clone()];
-        topics.extend(odometry.filter(|_| wheels.have_stamps_of(scanner)).map(|source| source.topic.clone()));
+        let in_messages = plan.odometry.as_ref().and_then(PlannedOdometry::topic);
+        topics.extend(in_messages.filter(|_| wheels.have_stamps_of(scanner)).cloned());
         if topics.len() > 1 {
             wheels.retime(&scanner.times);
         }
         jitters.push((topics, jitter));
     }
-    let durations: Vec<_> = scanners.iter().filter_map(Scanner::wrong_duration).collect();
-    let first = scanners.into_iter().next().filter(|scanner| {
-        plan.range.first().is_some_and(|range| range.source.topic == scanner.planned.source.topic)
-    });
-    let of_odometry = match (odometry, first) {
+    let orderly = scanners.iter().filter(|scanner| !scanner.has_disturbed_stamps());
+    let durations: Vec<_> = orderly.filter_map(Scanner::wrong_duration).collect();
+    let of_odometry = match (odometry, scanners.into_iter().next()) {
         (Some(odometry), Some(scanner)) => {
             let found = durations.iter().find(|(topic, _)| *topic == scanner.planned.source.topic);
             let seconds = found.map(|(_, found)| found.seconds).or(scanner.planned.scan_duration);
@@ -161,6 +159,10 @@ impl<'a> Scanner<'a> {
         Some(jitter)
     }
 
+    fn has_disturbed_stamps(&self) -> bool {
+        StampPattern::of(&self.stamps).is_some_and(|pattern| pattern.is_disturbed())
+    }
+
     fn range_noise(&self) -> Option<(Arc<str>, f64)> {
         Some((self.planned.source.topic.clone(), self.noise.sigma()?))
     }
@@ -179,14 +181,41 @@ impl<'a> Scanner<'a> {
 
 /// What odometry tells.
 #[derive(Default)]
-struct Wheels {
+struct Wheels<'a> {
+    planned: Option<&'a PlannedOdometry>,
     checks: OdometryChecks,
     poses: Vec<(Time, Rigid3)>,
 }
 
-impl Wheels {
+impl Wheels<'_> {
     fn add(&mut self, topic: &str, message: &Message) {
-        let Message::Odometry(odometry) = message else { return };
+        match message {
+            Message::Odometry(odometry) => self.add_odometry(topic, odometry),
+            Message::Tf(transforms) => self.add_transforms(topic, transforms),
+            _ => {}
+        }
+    }
+
+    fn add_transforms(&mut self, topic: &str, transforms: &TfMessage) {
+        let Some(PlannedOdometry { source, transforms_from: Some(parent) }) = self.planned else { return };
+        let is_odometry = |transform: &&TransformStamped| {
+            transform.header.frame_id == *parent && transform.child_frame_id == source.frame
+        };
+        for transform in transforms.transforms.iter().filter(is_odometry) {
+            let odometry = Odometry {
+                header: transform.header.clone(),
+                child_frame_id: transform.child_frame_id.clone(),
+                pose: transform.transform.clone(),
+                pose_covariance: Vec::new(),
+                linear_velocity: [0.0; 3],
+                angular_velocity: [0.0; 3],
+                twist_covariance: Vec::new(),
+            };
+            self.add_odometry(topic, &odometry);
+        }
+    }
+
+    fn add_odometry(&mut self, topic: &str, odometry: &Odometry) {
         self.checks.add(topic, odometry, &mut Findings::default());
         let stamp = odometry.header.stamp;
         // What goes back in time would have to be put in its place among all.
@@ -227,6 +256,7 @@ impl Wheels {
         odometry: &PlannedSensor,
         (scanner, seconds): (Scanner, f64),
     ) -> ScanComparison {
+        let is_disturbed = scanner.has_disturbed_stamps();
         let source = &scanner.planned.source;
         let odometry_from_scanner = inventory.tree.lookup_static(&odometry.frame, &source.frame);
         let odometry_from_scanner = odometry_from_scanner.unwrap_or_else(Rigid3::identity);
@@ -263,6 +293,10 @@ impl Wheels {
             )
         };
         let fault = is_level.then(find).flatten();
+        if is_disturbed {
+            let fault = fault.filter(|fault| *fault == OdometryFault::Stands);
+            return ScanComparison { fault, ..ScanComparison::default() };
+        }
         let turns_without_repeats = hold.map(|_| std::mem::take(&mut self.checks.turns));
         ScanComparison { delay, fault, hold, turns_without_repeats, ..ScanComparison::default() }
     }

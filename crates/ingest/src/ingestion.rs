@@ -20,7 +20,7 @@ use crate::even_stamps::{EvenStamps, StampPolicy, doubtful_beginnings};
 use crate::held_pose::HeldPose;
 use crate::laser::BeamDirections;
 use crate::options::IngestOptions;
-use crate::plan::{ImuScale, PlanError, PlannedOdometry, SensorPlan, SensorStatistics, plan};
+use crate::plan::{ImuScale, PlanError, PlannedSensor, SensorPlan, SensorStatistics, plan};
 use crate::point_time::PointTime;
 use crate::read_ahead::ReadAhead;
 use crate::recording_clock::RecordingClock;
@@ -99,9 +99,9 @@ struct Sensor {
 
 /// Odometry that comes as transforms.
 struct TransformOdometry {
-    id: SensorId,
+    planned: PlannedSensor,
     parent: Arc<str>,
-    child: Arc<str>,
+    held: Option<HeldPose>,
     order: Ascending,
 }
 
@@ -164,15 +164,14 @@ impl Ingestion {
             _ => doubtful_beginnings(recording, &setup::topics_of_scans(inventory, &plan), start)?,
         };
         let sensors = setup::sensors(&plan, options.stamps, &in_doubt);
-        let transform_odometry = match &plan.odometry {
-            Some(PlannedOdometry::Transforms { sensor, parent, child }) => Some(TransformOdometry {
-                id: sensor.clone(),
-                parent: parent.clone(),
-                child: child.clone(),
+        let transform_odometry = plan.odometry.as_ref().and_then(|odometry| {
+            Some(TransformOdometry {
+                planned: odometry.source.clone(),
+                parent: odometry.transforms_from.clone()?,
+                held: plan.longest_odometry_hold.map(HeldPose::new),
                 order: Ascending::default(),
-            }),
-            _ => None,
-        };
+            })
+        });
         let needs_tf = options.use_recorded_transforms
             && (transform_odometry.is_some() || setup::moves(inventory, &plan));
         let wanted = |t: &TopicInfo| sensors.contains_key(&t.topic) || (needs_tf && is_tf(&t.type_name));

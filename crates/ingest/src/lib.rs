@@ -50,7 +50,7 @@ pub use repeats::read_without_repeats;
 pub use skew::{Skew, SkewFactor, SkewState};
 pub use statistics::{ImuStatistics, RangeStatistics};
 pub use steady_clock::StampJitter;
-pub use survey::{Inventory, TopicSurvey};
+pub use survey::{Inventory, TopicSurvey, is_tf};
 pub use tf::{TfError, TfInput, TfTree, frame_name, is_fixed_frame};
 pub use urdf::{FixedJoint, RobotDescription, parse_urdf, read_urdf};
 

@@ -106,7 +106,7 @@ pub(crate) fn is_range(type_name: &str) -> bool {
 }
 
 /// Whether messages of the type are transforms.
-pub(crate) fn is_tf(type_name: &str) -> bool {
+pub fn is_tf(type_name: &str) -> bool {
     matches!(type_name, "tf2_msgs/TFMessage" | "tf/tfMessage")
 }
 

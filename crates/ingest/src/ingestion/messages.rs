@@ -14,7 +14,7 @@ use crate::azimuth_time::{self, TimedTurn};
 use crate::clock::Stamp;
 use crate::convert::{self, Frames, ImuFault};
 use crate::laser::{ScanCorrections, ScanFaults, points_of_echoes, points_of_laser_scan};
-use crate::plan::ImuScale;
+use crate::plan::{ImuScale, PlannedSensor};
 use crate::point_cloud2::{CloudFaults, CloudLayout};
 use crate::point_time::PointTime;
 use crate::timed_points::TimedPoints;
@@ -217,22 +217,26 @@ impl Ingestion {
 
     pub(super) fn take_transforms(&mut self, transforms: &TfMessage) {
         let Some(mut odometry) = self.transform_odometry.take() else { return };
-        let topic: Arc<str> = "/tf".into();
+        let PlannedSensor { topic, frame: child, clock_shift, .. } = odometry.planned.clone();
         for transform in &transforms.transforms {
             let is_odometry = *transform.header.frame_id.trim_start_matches('/') == *odometry.parent
-                && *transform.child_frame_id.trim_start_matches('/') == *odometry.child;
+                && *transform.child_frame_id.trim_start_matches('/') == *child;
             if !is_odometry || transforms.is_static || !self.samplers.odometry.pulse() {
                 continue;
             }
             let time = transform.header.stamp;
             // Invalid ones were counted when they were kept out of the tree.
             let Some((odom_from_child, _)) = convert::pose_of(&transform.transform) else { continue };
-            let Some(tracking_from_child) = self.tracking_from(&topic, &odometry.child, time) else {
+            if odometry.held.as_mut().is_some_and(|held| held.is_repeat(time, &odom_from_child)) {
+                self.count(&topic, time, IssueKind::OdometryRepeats, 1);
+                continue;
+            }
+            let Some(tracking_from_child) = self.tracking_from(&topic, &child, time) else {
                 continue;
             };
             if self.is_later(&mut odometry.order, &topic, time) {
-                let data = convert::odometry(time, odom_from_child, &tracking_from_child);
-                self.ready.push((odometry.id.clone(), Measurement::Odometry(data)));
+                let data = convert::odometry(time + clock_shift, odom_from_child, &tracking_from_child);
+                self.ready.push((odometry.planned.sensor.clone(), Measurement::Odometry(data)));
             }
         }
         self.transform_odometry = Some(odometry);

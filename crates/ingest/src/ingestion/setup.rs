@@ -60,8 +60,8 @@ pub(super) fn topics_of_scans(inventory: &Inventory, plan: &SensorPlan) -> Vec<A
     };
     let mut topics: Vec<Arc<str>> =
         plan.range.iter().map(|range| range.source.topic.clone()).filter(is_scan).collect();
-    if let (false, Some(PlannedOdometry::Topic(source))) = (topics.is_empty(), &plan.odometry) {
-        topics.push(source.topic.clone());
+    if !topics.is_empty() {
+        topics.extend(plan.odometry.as_ref().and_then(PlannedOdometry::topic).cloned());
     }
     topics
 }
@@ -116,7 +116,7 @@ pub(super) fn sensors(
     if let Some(imu) = &plan.imu {
         add(&imu.source, Role::Imu { scale: imu.scale });
     }
-    if let Some(PlannedOdometry::Topic(source)) = &plan.odometry {
+    if let Some(PlannedOdometry { source, transforms_from: None }) = &plan.odometry {
         add(source, Role::Odometry { held: plan.longest_odometry_hold.map(HeldPose::new) });
     }
     if let Some(source) = &plan.nav_sat {
@@ -136,8 +136,6 @@ pub(super) fn moves(inventory: &Inventory, plan: &SensorPlan) -> bool {
     let mut frames: Vec<&str> = plan.range.iter().map(|r| &*r.source.frame).collect();
     frames.extend(plan.imu.iter().map(|i| &*i.source.frame));
     frames.extend(plan.landmarks.iter().map(|l| &*l.frame));
-    if let Some(PlannedOdometry::Topic(source)) = &plan.odometry {
-        frames.push(&source.frame);
-    }
+    frames.extend(plan.odometry.iter().map(|odometry| &*odometry.source.frame));
     frames.iter().any(|f| !f.is_empty() && inventory.tree.lookup_static(&plan.tracking_frame, f).is_none())
 }

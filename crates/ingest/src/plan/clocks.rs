@@ -5,15 +5,13 @@ use std::sync::Arc;
 use portolan_geometry::Duration;
 use portolan_issue::Severity;
 
-use super::{Notice, PlanError, PlannedOdometry, PlannedSensor, SensorPlan};
+use super::{Notice, PlanError, PlannedSensor, SensorPlan};
 
-/// All sensors that are read from a topic.
+/// All sensors.
 fn sources(plan: &mut SensorPlan) -> Vec<&mut PlannedSensor> {
     let mut sources: Vec<&mut PlannedSensor> = plan.range.iter_mut().map(|r| &mut r.source).collect();
     sources.extend(plan.imu.as_mut().map(|i| &mut i.source));
-    if let Some(PlannedOdometry::Topic(source)) = &mut plan.odometry {
-        sources.push(source);
-    }
+    sources.extend(plan.odometry.as_mut().map(|odometry| &mut odometry.source));
     let others = [&mut plan.nav_sat, &mut plan.fixed_frame_pose, &mut plan.landmarks];
     sources.extend(others.into_iter().flatten());
     sources

@@ -147,18 +147,34 @@ pub struct PlannedRange {
 
 /// Where odometry comes from.
 #[derive(Clone, Debug, PartialEq)]
-pub enum PlannedOdometry {
-    /// Odometry messages; the frame of the source is the child frame.
-    Topic(PlannedSensor),
-    /// Transforms from a parent to a moving child.
-    Transforms {
-        /// Name of the sensor.
-        sensor: SensorId,
-        /// Odometry frame.
-        parent: Arc<str>,
-        /// Frame of the robot.
-        child: Arc<str>,
-    },
+pub struct PlannedOdometry {
+    /// Topic and so on; its frame is the child frame.
+    pub source: PlannedSensor,
+    /// The odometry frame, where transforms from it to the child frame are used instead of odometry messages.
+    pub transforms_from: Option<Arc<str>>,
+}
+
+/// The topic of moving transforms.
+pub(crate) const TF: &str = "/tf";
+
+impl PlannedOdometry {
+    /// The topic of its messages; none of transforms.
+    pub fn topic(&self) -> Option<&Arc<str>> {
+        self.transforms_from.is_none().then_some(&self.source.topic)
+    }
+
+    /// What it is called in messages for people.
+    pub fn name(&self) -> String {
+        match &self.transforms_from {
+            None => self.source.topic.to_string(),
+            Some(parent) => format!("of the transforms from \"{parent}\" to \"{}\"", self.source.frame),
+        }
+    }
+
+    /// The option that asks for it; empty where there is none.
+    fn option(&self) -> String {
+        self.topic().map_or_else(String::new, |topic| format!("--odom {topic}"))
+    }
 }
 
 /// What brings the samples of an IMU to m/s² and rad/s.
@@ -225,10 +241,7 @@ impl SensorPlan {
     /// All sensors in ascending order, as the collator expects them.
     pub fn sensors(&self) -> Vec<SensorId> {
         let mut sensors: Vec<SensorId> = self.range.iter().map(|r| r.source.sensor.clone()).collect();
-        sensors.extend(self.odometry.iter().map(|o| match o {
-            PlannedOdometry::Topic(source) => source.sensor.clone(),
-            PlannedOdometry::Transforms { sensor, .. } => sensor.clone(),
-        }));
+        sensors.extend(self.odometry.iter().map(|o| o.source.sensor.clone()));
         sensors.extend(self.imu.iter().map(|i| i.source.sensor.clone()));
         let others = [&self.nav_sat, &self.fixed_frame_pose, &self.landmarks];
         sensors.extend(others.into_iter().flatten().map(|s| s.sensor.clone()));
@@ -252,8 +265,8 @@ impl SensorPlan {
 
     /// Moves the stamps of odometry by what was measured of them against scans, and says so.
     pub fn delay_odometry(&mut self, seconds: f64, sigma: f64) {
-        let Some(PlannedOdometry::Topic(odometry)) = &mut self.odometry else { return };
-        let (what, change) = odometry.delay(seconds, sigma);
+        let Some(odometry) = &mut self.odometry else { return };
+        let (what, change) = odometry.source.delay(seconds, sigma);
         self.note(what, change);
     }
 
@@ -266,10 +279,7 @@ impl SensorPlan {
 
     /// Takes the stamps of sensors to jitter, as scans told, and says so.
     pub fn doubt_stamps(&mut self, topics: &[Arc<str>], jitter: &StampJitter) {
-        let odometry = match &mut self.odometry {
-            Some(PlannedOdometry::Topic(odometry)) => Some(odometry),
-            _ => None,
-        };
+        let odometry = self.odometry.as_mut().map(|odometry| &mut odometry.source);
         let sources = self.range.iter_mut().map(|range| &mut range.source).chain(odometry);
         for source in sources.filter(|source| topics.contains(&source.topic)) {
             source.jitter = Some(*jitter);
@@ -286,13 +296,13 @@ impl SensorPlan {
     /// Says that odometry repeats poses (`how`) while it moves, and leaves the repeats of so many seconds at most out unless it
     /// `is_wanted` as it is.
     pub fn doubt_repeats(&mut self, how: &str, longest_hold: f64, is_wanted: bool) {
-        let Some(PlannedOdometry::Topic(odometry)) = &self.odometry else { return };
-        let topic = odometry.topic.clone();
+        let Some(odometry) = &self.odometry else { return };
+        let name = odometry.name();
         let (so, change) = match is_wanted {
             true => ("it is used as it is all the same", "--no-odometry".to_owned()),
-            false => ("poses that repeat are left out", format!("--odom {topic}")),
+            false => ("poses that repeat are left out", odometry.option()),
         };
-        self.warn(format!("the odometry {topic} {how}: {so}"), change);
+        self.warn(format!("the odometry {name} {how}: {so}"), change);
         self.longest_odometry_hold = (!is_wanted).then_some(longest_hold);
     }
 
@@ -331,11 +341,11 @@ impl SensorPlan {
 
     /// Says that odometry does not move as scans do (`how`), and leaves it out unless it `is_wanted`.
     pub fn doubt_odometry(&mut self, how: &str, is_mirrored: bool, is_wanted: bool) {
-        let Some(PlannedOdometry::Topic(odometry)) = &self.odometry else { return };
-        let topic = odometry.topic.clone();
+        let Some(odometry) = &self.odometry else { return };
+        let name = odometry.name();
         let (so, change) = match is_wanted {
             true => ("it is used all the same", "--no-odometry".to_owned()),
-            false => ("it is left out", format!("--odom {topic}")),
+            false => ("it is left out", odometry.option()),
         };
         let mirrored = match is_mirrored {
             true => {
@@ -343,7 +353,7 @@ impl SensorPlan {
             }
             false => "",
         };
-        self.warn(format!("the odometry {topic} {how}: {so}{mirrored}"), change);
+        self.warn(format!("the odometry {name} {how}: {so}{mirrored}"), change);
         if !is_wanted {
             (self.odometry, self.odometry_interval) = (None, None);
         }

@@ -2,11 +2,12 @@
 
 use std::cmp::Reverse;
 
+use portolan_geometry::Duration;
 use portolan_sensor::{SensorId, SensorKind};
 
 use super::request::Request;
 use super::robot::{shared_parts, why_apart};
-use super::{Chosen, PlanError, PlannedOdometry, SensorPlan};
+use super::{Chosen, PlanError, PlannedOdometry, PlannedSensor, SensorPlan, TF};
 use crate::survey::Inventory;
 
 /// Plans odometry.
@@ -49,7 +50,8 @@ fn child_frame(chosen: &Chosen, plan: &mut SensorPlan) -> String {
 }
 
 fn take(chosen: &Chosen, child: &str, plan: &mut SensorPlan) {
-    plan.odometry = Some(PlannedOdometry::Topic(chosen.planned(SensorKind::Odometry, child)));
+    let source = chosen.planned(SensorKind::Odometry, child);
+    plan.odometry = Some(PlannedOdometry { source, transforms_from: None });
     plan.odometry_interval = chosen.survey.interval;
 }
 
@@ -72,8 +74,8 @@ fn find_topic(inventory: &Inventory, plan: &mut SensorPlan) -> bool {
     candidates.sort_by_key(|c| (rank(c.topic()), Reverse(with_range(c.topic())), Reverse(count(c))));
     for chosen in candidates {
         let topic = chosen.topic().to_owned();
-        if let Some(PlannedOdometry::Topic(used)) = &plan.odometry {
-            let used = used.topic.clone();
+        if let Some(used) = &plan.odometry {
+            let used = used.name();
             plan.note(format!("{used} is used as odometry, not {topic}"), format!("--odom {topic}"));
             continue;
         }
@@ -110,11 +112,15 @@ fn find_transforms(inventory: &Inventory, plan: &mut SensorPlan) {
             && inventory.tree.lookup_static(child, &plan.tracking_frame).is_some()
     });
     if let Some((parent, child)) = odometry {
-        plan.odometry = Some(PlannedOdometry::Transforms {
+        let source = PlannedSensor {
             sensor: SensorId::new(SensorKind::Odometry, "odom"),
-            parent: (*parent).into(),
-            child: (*child).into(),
-        });
+            topic: TF.into(),
+            frame: (*child).into(),
+            clock_shift: Duration::ZERO,
+            usual_lag: None,
+            jitter: None,
+        };
+        plan.odometry = Some(PlannedOdometry { source, transforms_from: Some((*parent).into()) });
         plan.odometry_interval = inventory.tree.moving_interval(child);
         plan.note(
             format!("the transforms from \"{parent}\" to \"{child}\" are used as odometry"),

@@ -56,7 +56,7 @@ fn two_connected_scanners_and_odometry_are_used_together() {
         (vec!["/front", "/panning", "/rear"], "base_link")
     );
     assert_eq!(plan.dimension, Dimension::Two);
-    assert!(matches!(&plan.odometry, Some(PlannedOdometry::Topic(o)) if &*o.topic == "/odom"));
+    assert!(matches!(&plan.odometry, Some(o) if o.name() == "/odom"));
     let text: String = plan.notices.iter().map(|n| format!("{} [{}]\n", n.what, n.change)).collect();
     for expected in [
         "/front_filtered is not used",
@@ -128,7 +128,7 @@ fn of_two_robots_in_one_recording_one_is_mapped() {
         let range_topics = topics_wanted.iter().map(|t| (*t).to_owned()).collect();
         let plan = planned(&recording, &IngestOptions { range_topics, ..IngestOptions::default() }).unwrap();
         let odometry = match &plan.odometry {
-            Some(PlannedOdometry::Topic(o)) => o.topic.to_string(),
+            Some(odometry) => odometry.name(),
             _ => String::new(),
         };
         let sensors: Vec<String> = topics(&plan).iter().map(|t| (*t).to_owned()).collect();
@@ -234,9 +234,7 @@ fn odometry_in_transforms_and_results_of_mapping() {
     let inventory = Inventory::of(&recording, &IngestOptions::default()).unwrap();
     assert!(inventory.moving_issues.iter().any(|r| r.text().contains("output of a mapping program")));
     let plan = plan(&inventory, &IngestOptions::default()).unwrap();
-    assert!(
-        matches!(&plan.odometry, Some(PlannedOdometry::Transforms { child, .. }) if &**child == "base_link")
-    );
+    assert!(matches!(&plan.odometry, Some(o) if o.topic().is_none() && &*o.source.frame == "base_link"));
     assert!((plan.odometry_interval.unwrap() - 0.05).abs() < 1e-6);
 }
 
@@ -290,7 +288,7 @@ fn clocks_that_are_far_apart_are_joined() {
         ("/tf_static", &|_| Message::Tf(fixed(&[("base_link", "laser", [0.1, 0.0, 0.0], 0.0)]))),
     ]);
     let plan = planned(&recording, &IngestOptions::default()).unwrap();
-    let Some(PlannedOdometry::Topic(odometry)) = &plan.odometry else { panic!() };
+    let Some(PlannedOdometry { source: odometry, .. }) = &plan.odometry else { panic!() };
     assert!((odometry.clock_shift.seconds() - 3600.0).abs() < 1e-3);
 }
 
