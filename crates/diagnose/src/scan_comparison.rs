@@ -205,7 +205,7 @@ impl Wheels<'_> {
             let odometry = Odometry {
                 header: transform.header.clone(),
                 child_frame_id: transform.child_frame_id.clone(),
-                pose: transform.transform.clone(),
+                pose: transform.transform,
                 pose_covariance: Vec::new(),
                 linear_velocity: [0.0; 3],
                 angular_velocity: [0.0; 3],
