@@ -11,8 +11,8 @@ use std::path::Path;
 
 use common::{portolan, portolan_with_code, real, text, trajectory_errors};
 use portolan_evaluation::{Alignment, Association, TimedPose, Trajectory, absolute_errors, read_tum};
-use portolan_geometry::{Rigid2, Rigid3, Vector3};
-use portolan_recording::{Message, RecordedMessage};
+use portolan_geometry::{Duration, Rigid2, Rigid3, Vector3};
+use portolan_recording::{Header, Message, Odometry, Pose, RecordedMessage};
 use portolan_testing::is_fast;
 
 /// Maps into a folder. Reading may lose data: clouds or scans that are damaged or out of order in the recording.
@@ -169,6 +169,38 @@ fn error_of(truth: &Trajectory, estimate: &Trajectory) -> f64 {
     let errors = absolute_errors(truth, estimate, Association::default(), Alignment::Se3).unwrap();
     assert!(errors.count >= 20, "{}", errors.count);
     errors.translation.rmse
+}
+
+/// Odometry in the frame of a lidar that turns ten times a second, twice a turn, which says that it stands.
+fn odometry_that_stands(scan: &RecordedMessage) -> [RecordedMessage; 2] {
+    let header = scan.message.header().unwrap();
+    [0.0, 0.05].map(|seconds| {
+        let odometry = Odometry {
+            header: Header { stamp: header.stamp + Duration::from_seconds(seconds), frame_id: "odom".into() },
+            child_frame_id: header.frame_id.clone(),
+            pose: Pose { position: [0.0; 3], orientation_xyzw: [0.0, 0.0, 0.0, 1.0] },
+            pose_covariance: vec![0.0; 36],
+            linear_velocity: [0.0; 3],
+            angular_velocity: [0.0; 3],
+            twist_covariance: vec![0.0; 36],
+        };
+        let message = Message::Odometry(odometry);
+        RecordedMessage { topic: "/odom".into(), log_time: scan.log_time, message }
+    })
+}
+
+#[test]
+fn in_space_wheels_that_are_never_read_are_not_believed() {
+    let Some(recording) = real("lidar3d/kitti_0001.bag") else { return };
+    let truth = read(&real("lidar3d/kitti_0001.truth.tum").unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let with_wheels = folder.path().join("wheels.bag");
+    rewritten(&recording, &with_wheels, |_, sweep| {
+        odometry_that_stands(&sweep).into_iter().chain([sweep]).collect()
+    });
+    map(&text(&with_wheels), folder.path(), &[]);
+    let error = error_of(&truth, &read(&text(&folder.path().join("trajectory.tum"))));
+    assert!(error <= 1.3 * 0.036, "{error} m");
 }
 
 #[test]

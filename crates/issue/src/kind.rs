@@ -212,6 +212,7 @@ kinds! {
     ScanAfterGapNotFound Warning "scan after a gap in all sensors, not relocalised; its pose is a guess"
     ScanFitsNoPlane Warning "scan that fits no plane; its pose follows from odometry, IMU, constant velocity or matching to grids"
     TravelGuessed Error "scan before which nothing told for seconds how far it went; constant velocity was assumed"
+    OdometryOverruled Warning "sweep whose motion contradicts odometry, which was not used"
     GyroscopeOverruled Warning "sweep whose rotation contradicts the gyroscope; the rotation found by matching was used"
     ImuSampleTooOld Warning "IMU sample older than the last matched scan"
     ImuSampleNotFinite Error "IMU sample that is not finite"

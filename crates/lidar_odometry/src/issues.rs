@@ -19,6 +19,8 @@ pub enum Issue {
     SweepTooOld,
     /// A sweep that fits clearly better without the rotation that the gyroscope measured.
     GyroscopeOverruled,
+    /// A sweep that fits where the platform is without odometry, and not where odometry says; odometry was not used.
+    OdometryOverruled,
     /// A sweep that fits no plane; its pose is predicted, or another map's.
     NoPlaneFits,
     /// A sweep that contradicts the map; the map is not shown it.
@@ -42,6 +44,7 @@ impl Issue {
             Self::GyroscopeOverruled => {
                 "sweep whose rotation contradicts the gyroscope; the rotation found by matching was used"
             }
+            Self::OdometryOverruled => "sweep whose motion contradicts odometry, which was not used",
             Self::ContradictsMap => "scan that contradicts the map; not inserted",
             Self::TravelGuessed => {
                 "scan before which nothing told for seconds how far it went; constant velocity was assumed"

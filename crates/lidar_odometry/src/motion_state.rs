@@ -11,10 +11,11 @@ use crate::gyroscope::SaturationDetector;
 use crate::inertial::{InertialFilter, InertialPrediction, InertialStart, PoseMeasurement};
 use crate::initialise::VELOCITY_INTERVAL;
 use crate::issues::Issue;
+use crate::odometry_trust::{OdometryTrust, TwoMotions};
 use crate::predict::{self, Alternative, Prediction, Reason};
 use crate::registration::DegenerateDirections;
 use crate::segment::{MotionSource, TrajectorySegment};
-use crate::settings::{HypothesisSettings, OdometrySettings};
+use crate::settings::{HypothesisSettings, MotionPriorSettings, OdometrySettings};
 use crate::standstill::ZeroVelocityDetector;
 
 /// Follows the motion.
@@ -30,6 +31,10 @@ pub(crate) struct MotionState {
     resumed_at: Option<Time>,
     zero_velocity: ZeroVelocityDetector,
     inertial: InertialFilter,
+    /// What predicts as if there was no odometry, since there is some.
+    without_odometry: Option<PoseExtrapolator>,
+    odometry_trust: OdometryTrust,
+    motion_prior: MotionPriorSettings,
     hypotheses: HypothesisSettings,
     /// What two sparse sweeps are off by, m/s.
     first_velocity_error: f64,
@@ -67,6 +72,9 @@ impl MotionState {
             resumed_at: None,
             zero_velocity: ZeroVelocityDetector::new(settings),
             inertial: InertialFilter::new(settings),
+            without_odometry: None,
+            odometry_trust: OdometryTrust::default(),
+            motion_prior: settings.motion_prior.clone(),
             hypotheses: settings.hypotheses.clone(),
             first_velocity_error: settings.inertial.first_velocity,
         };
@@ -92,6 +100,10 @@ impl MotionState {
         if self.extrapolator.add_imu(&corrected).is_err() {
             return Some(Issue::ImuSampleTooOld);
         }
+        if let Some(without) = &mut self.without_odometry {
+            // What the other one takes.
+            let _ = without.add_imu(&corrected);
+        }
         self.zero_velocity.add_imu(&corrected);
         self.inertial.add_imu(data);
         (!self.has_imu).then_some(Issue::ImuAfterStart)
@@ -99,6 +111,9 @@ impl MotionState {
 
     /// Takes an odometry pose, in order of time. Gives what is wrong with it.
     pub fn add_odometry(&mut self, data: &OdometryData) -> Option<Issue> {
+        if self.without_odometry.is_none() {
+            self.without_odometry = Some(self.extrapolator.clone());
+        }
         self.extrapolator.add_odometry(data).is_err().then_some(Issue::OdometryTooOld)
     }
 
@@ -109,8 +124,17 @@ impl MotionState {
     pub fn predict(&mut self, end: Time) -> Prediction {
         self.extrapolator.prepare(end);
         let start = self.extrapolator.last_pose_time();
-        let extrapolated = predict::extrapolated(&mut self.extrapolator, end);
-        let has_odometry = self.extrapolator.has_odometry(end);
+        let measured = predict::extrapolated(&mut self.extrapolator, end);
+        let otherwise = self.without_odometry(end);
+        let two = otherwise.as_ref().map(|otherwise| {
+            TwoMotions::new(&measured, otherwise, self.has_gyroscope(end), &self.motion_prior)
+        });
+        let is_believed = otherwise.is_none() || self.odometry_trust.works();
+        let (extrapolated, other) = match otherwise {
+            Some(otherwise) if !is_believed => (otherwise, Some(measured)),
+            otherwise => (measured, otherwise),
+        };
+        let has_odometry = is_believed && self.extrapolator.has_odometry(end);
         if has_odometry {
             self.zero_velocity.add_odometry(&extrapolated.translation(), extrapolated.seconds());
         }
@@ -133,8 +157,19 @@ impl MotionState {
         let is_complete = self.resumed_at.is_none_or(|resumed| start.is_some_and(|start| resumed <= start));
         segment.rotation_is_measured = self.has_gyroscope(end) && is_complete;
         let is_saturated = self.saturated_at > start;
-        let alternatives = self.alternatives(end, &segment, &extrapolated, is_saturated);
-        Prediction { extrapolated, inertial, standing, segment, alternatives, is_saturated }
+        let mut alternatives = self.alternatives(end, &segment, &extrapolated, is_saturated);
+        if let (Some(mut segment), true, None) = (other, two.is_some_and(|two| two.differ()), &standing) {
+            segment.rotation_is_measured = self.has_gyroscope(end) && is_complete;
+            alternatives.push(Alternative { reason: Reason::OdometryFails, segment, clearly_better: 1.0 });
+        }
+        Prediction { extrapolated, inertial, standing, segment, alternatives, is_saturated, odometry: two }
+    }
+
+    /// What is expected of a sweep if odometry fails; none where there is none.
+    fn without_odometry(&mut self, end: Time) -> Option<TrajectorySegment> {
+        let without = self.without_odometry.as_mut().filter(|_| self.extrapolator.has_odometry(end))?;
+        without.prepare(end);
+        Some(predict::extrapolated(without, end))
     }
 
     /// What is expected of the first sweep after a gap if the platform moved so meanwhile.
@@ -205,13 +240,38 @@ impl MotionState {
         if self.has_imu {
             self.update_inertial(prediction, inertial, end);
         }
+        if let (Some(two), Some(_)) = (&prediction.odometry, end.attenuation) {
+            let turn = end.local_from_tracking.rotation;
+            let open: Vec<Vector3> = end.degenerate.translations.iter().map(|open| turn * open).collect();
+            self.odometry_trust.learn(two, end.local_from_tracking, &open);
+        }
         if let Some(velocities) = end.velocities {
             let before = end.time - Duration::from_seconds(VELOCITY_INTERVAL);
             let earlier = velocities.earlier(end.local_from_tracking, VELOCITY_INTERVAL);
-            self.extrapolator.add_pose(before, earlier);
+            self.add_pose(before, earlier);
         }
-        self.extrapolator.add_pose(end.time, *end.local_from_tracking);
+        self.add_pose(end.time, *end.local_from_tracking);
         self.inertial.level_from_tracking(&end.local_from_tracking.rotation)
+    }
+
+    /// Takes a pose that is known, with odometry and without.
+    pub fn add_pose(&mut self, time: Time, local_from_tracking: Rigid3) {
+        for extrapolator in
+            [Some(&mut self.extrapolator), self.without_odometry.as_mut()].into_iter().flatten()
+        {
+            extrapolator.add_pose(time, local_from_tracking);
+        }
+    }
+
+    /// Begins to predict anew, from poses alone.
+    pub fn forget_motion(&mut self, extrapolator: PoseExtrapolator) {
+        self.without_odometry = self.without_odometry.as_ref().map(|_| extrapolator.clone());
+        self.extrapolator = extrapolator;
+    }
+
+    /// Whether there is odometry that sweeps contradict.
+    pub fn doubts_odometry(&self) -> bool {
+        self.without_odometry.is_some() && !self.odometry_trust.works()
     }
 
     /// Corrects the inertial filter, or begins it anew.

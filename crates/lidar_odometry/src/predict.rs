@@ -6,6 +6,7 @@ use portolan_motion::PoseExtrapolator;
 use crate::gap::Velocities;
 use crate::hypotheses::{self, Other};
 use crate::inertial::InertialPrediction;
+use crate::odometry_trust::TwoMotions;
 use crate::segment::{MotionSource, TrajectorySegment};
 use crate::sweep_registration::RegisteredSegment;
 use crate::witness::Discrepancy;
@@ -24,6 +25,8 @@ pub(crate) struct Prediction {
     pub alternatives: Vec<Alternative>,
     /// Whether the gyroscope was at the end of its range.
     pub is_saturated: bool,
+    /// Where odometry leads, and where the platform goes without, if there is odometry.
+    pub odometry: Option<TwoMotions>,
 }
 
 /// Another hypothesis of the motion.
@@ -43,6 +46,8 @@ pub(crate) enum Reason {
     LongGap,
     /// A gyroscope may be saturated, or its clock or axes wrong.
     GyroscopeFails,
+    /// Odometry may fail, or work again.
+    OdometryFails,
     /// A sweep contradicts the map where it is predicted, and fits elsewhere.
     OtherMotion,
 }
@@ -52,7 +57,8 @@ impl Alternative {
     fn is_worth_trying(&self, prediction: &Prediction, first: &RegisteredSegment) -> bool {
         match self.reason {
             Reason::AccelerometerFails => first.found.is_none(),
-            Reason::LongGap => true,
+            // Tried only where it says something else.
+            Reason::LongGap | Reason::OdometryFails => true,
             // It is no alternative of the prediction.
             Reason::OtherMotion => false,
             Reason::GyroscopeFails => prediction.is_saturated || first.contradicts_rotation,

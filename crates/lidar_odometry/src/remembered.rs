@@ -52,6 +52,7 @@ impl Answer for Reason {
             Self::LongGap => 1,
             Self::GyroscopeFails => 2,
             Self::OtherMotion => 3,
+            Self::OdometryFails => 4,
         };
         number.write(words);
     }
@@ -62,6 +63,7 @@ impl Answer for Reason {
             1 => Some(Self::LongGap),
             2 => Some(Self::GyroscopeFails),
             3 => Some(Self::OtherMotion),
+            4 => Some(Self::OdometryFails),
             _ => None,
         }
     }

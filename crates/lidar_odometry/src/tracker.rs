@@ -127,10 +127,10 @@ impl Tracker {
         let level = measured.as_ref().map(|measured| measured(first.end));
         drop(measured);
         if !motion.has_imu {
-            motion.extrapolator = settings.extrapolator.extrapolator();
+            motion.forget_motion(settings.extrapolator.extrapolator());
         }
-        motion.extrapolator.add_pose(before, pose_before);
-        motion.extrapolator.add_pose(first.end, end);
+        motion.add_pose(before, pose_before);
+        motion.add_pose(first.end, end);
         // 3. The first key frame.
         let velocity = end.rotation * start.velocity_in_tracking();
         let gravity = level.map(|level| motion.begin(first.end, &end, velocity, &level));
@@ -236,6 +236,9 @@ impl Tracker {
         };
         let inertial = prediction.inertial.as_ref().filter(|_| best.reason.is_none());
         let gravity = self.motion.update(&prediction, inertial, &end);
+        if prediction.odometry.is_some() && self.motion.doubts_odometry() {
+            issues.count(Issue::OdometryOverruled);
+        }
         // 8. Show the map what the sweep saw, as a key frame or not; nothing if it contradicts the map.
         let mut result = RegisteredSweep {
             observability,

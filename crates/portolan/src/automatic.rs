@@ -149,9 +149,7 @@ fn settings_3d(sensors: &Sensors) -> Options {
     local.ceres_scan_matcher.rotation_weight = 10.0;
     // What is tracked is the IMU itself: if turns of lidar and gyroscope have other axes, the lidar is mounted otherwise.
     options.map_builder.pose_graph.optimization_problem.use_online_imu_extrinsics_in_3d = !sensors.tracks_imu;
-    // Without an IMU odometry is a constraint between nodes. Wheels measure the distance travelled, but not the slope:
-    // their rotations get no weight (docs/experiments/2026-11-settings-3d.md).
-    options.map_builder.pose_graph.optimization_problem.odometry_rotation_weight = 0.0;
+    leave_odometry_to_local_slam(&mut options);
     weigh_loop_closures(&mut options);
     let graph = &mut options.map_builder.pose_graph;
     graph.constraint_builder.loop_closure_rotation_weight = 5e3;
@@ -229,6 +227,12 @@ fn set_local_slam(options: &mut Options, sensors: &Sensors) {
     inserter.miss_probability = 0.4;
 }
 
+/// Odometry has already steered local SLAM, which knows where it fails; as a constraint between nodes it would count twice.
+fn leave_odometry_to_local_slam(options: &mut Options) {
+    let problem = &mut options.map_builder.pose_graph.optimization_problem;
+    (problem.odometry_translation_weight, problem.odometry_rotation_weight) = (0.0, 0.0);
+}
+
 fn set_pose_graph(options: &mut Options) {
     weigh_loop_closures(options);
     let graph = &mut options.map_builder.pose_graph;
@@ -237,9 +241,8 @@ fn set_pose_graph(options: &mut Options) {
     graph.optimization_problem.local_slam_pose_translation_weight = graph.matcher_translation_weight;
     graph.optimization_problem.local_slam_pose_rotation_weight = graph.matcher_rotation_weight;
     graph.optimization_problem.huber_scale = 100.0;
-    // Odometry has already steered local SLAM; as a constraint of its own it would count twice.
-    graph.optimization_problem.odometry_translation_weight = 0.0;
-    graph.optimization_problem.odometry_rotation_weight = 0.0;
+    leave_odometry_to_local_slam(options);
+    let graph = &mut options.map_builder.pose_graph;
     options.portolan.min_loop_closure_searches = MIN_SEARCHES;
     // What begins anew after the scanner was lost is tied to the rest by scans that agree, and is searched near it then.
     options.portolan.global_localization_min_matches = 3;

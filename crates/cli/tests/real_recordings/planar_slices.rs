@@ -5,9 +5,9 @@ use std::ops::Range;
 use std::path::Path;
 
 use portolan_geometry::Duration;
-use portolan_recording::{Header, LaserScan, Message, Odometry, Pose, RecordedMessage};
+use portolan_recording::{LaserScan, Message, RecordedMessage};
 
-use super::{error_of, map, read, rewritten};
+use super::{error_of, map, odometry_that_stands, read, rewritten};
 use crate::common::{portolan_with_code, real, text};
 
 /// The planar scanner that a 3D lidar contains: the nearest points at the height of the lidar. KITTI's turns are clockwise from
@@ -62,24 +62,6 @@ fn assert_followed(made_of: impl Fn(RecordedMessage) -> Vec<RecordedMessage>) {
 #[test]
 fn a_start_at_speed_is_found_by_a_planar_scanner() {
     assert_followed(|scan| vec![scan]);
-}
-
-/// What wheels tell that are never read: before each scan and in its middle the same pose.
-fn odometry_that_stands(scan: &RecordedMessage) -> [RecordedMessage; 2] {
-    let Message::LaserScan(LaserScan { header, scan_time, .. }) = &scan.message else { panic!("no scan") };
-    [0.0, 0.5 * f64::from(*scan_time)].map(|seconds| {
-        let odometry = Odometry {
-            header: Header { stamp: header.stamp + Duration::from_seconds(seconds), frame_id: "odom".into() },
-            child_frame_id: header.frame_id.clone(),
-            pose: Pose { position: [0.0; 3], orientation_xyzw: [0.0, 0.0, 0.0, 1.0] },
-            pose_covariance: vec![0.0; 36],
-            linear_velocity: [0.0; 3],
-            angular_velocity: [0.0; 3],
-            twist_covariance: vec![0.0; 36],
-        };
-        let message = Message::Odometry(odometry);
-        RecordedMessage { topic: "/odom".into(), log_time: scan.log_time, message }
-    })
 }
 
 #[test]

@@ -206,6 +206,7 @@ pub(super) fn kind_of(issue: OdometryIssue) -> IssueKind {
         OdometryIssue::EmptySweep => IssueKind::ScanWithoutReturn,
         OdometryIssue::SweepTooOld => IssueKind::ScanTooOld,
         OdometryIssue::GyroscopeOverruled => IssueKind::GyroscopeOverruled,
+        OdometryIssue::OdometryOverruled => IssueKind::OdometryOverruled,
         OdometryIssue::NoPlaneFits => IssueKind::ScanFitsNoPlane,
         OdometryIssue::ContradictsMap => IssueKind::ScanContradictsMap,
         OdometryIssue::TravelGuessed => IssueKind::TravelGuessed,
