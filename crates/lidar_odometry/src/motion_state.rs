@@ -112,7 +112,7 @@ impl MotionState {
     /// Takes an odometry pose, in order of time. Gives what is wrong with it.
     pub fn add_odometry(&mut self, data: &OdometryData) -> Option<Issue> {
         if self.without_odometry.is_none() {
-            self.without_odometry = Some(self.extrapolator.clone());
+            self.without_odometry = Some(self.extrapolator.without_odometry());
         }
         self.extrapolator.add_odometry(data).is_err().then_some(Issue::OdometryTooOld)
     }
@@ -135,7 +135,9 @@ impl MotionState {
             otherwise => (measured, otherwise),
         };
         let has_odometry = is_believed && self.extrapolator.has_odometry(end);
-        if has_odometry {
+        let they_differ = two.is_some_and(|two| two.differ());
+        // Where it may be odometry that fails, it is no witness of rest.
+        if has_odometry && !they_differ {
             self.zero_velocity.add_odometry(&extrapolated.translation(), extrapolated.seconds());
         }
         let standing = self.zero_velocity.pose();
@@ -158,7 +160,7 @@ impl MotionState {
         segment.rotation_is_measured = self.has_gyroscope(end) && is_complete;
         let is_saturated = self.saturated_at > start;
         let mut alternatives = self.alternatives(end, &segment, &extrapolated, is_saturated);
-        if let (Some(mut segment), true, None) = (other, two.is_some_and(|two| two.differ()), &standing) {
+        if let (Some(mut segment), true) = (other, they_differ) {
             segment.rotation_is_measured = self.has_gyroscope(end) && is_complete;
             alternatives.push(Alternative { reason: Reason::OdometryFails, segment, clearly_better: 1.0 });
         }

@@ -109,6 +109,17 @@ impl PoseExtrapolator {
         self
     }
 
+    /// What it knows but for odometry; an IMU-based fit keeps what it was given.
+    #[must_use]
+    pub fn without_odometry(&self) -> Self {
+        let mut without = self.clone();
+        without.odometry.clear();
+        without.linear_velocity_from_odometry = Vector3::zeros();
+        without.angular_velocity_from_odometry = Vector3::zeros();
+        (without.cached, without.prepared) = (None, None);
+        without
+    }
+
     /// Says that poses until `time` will be asked for next. The fit of the IMU-based extrapolator is made
     /// here, once for all of them.
     pub fn prepare(&mut self, time: Time) {
