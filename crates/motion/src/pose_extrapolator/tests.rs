@@ -27,6 +27,22 @@ fn is_near(a: &Rigid3, b: &Rigid3, metres: f64, radians: f64) -> bool {
     distance < metres && angle < radians
 }
 
+#[test]
+fn without_odometry_the_velocity_of_poses_goes_on() {
+    let along = |x: f64| Rigid3::translation(x, 0.0, 0.0);
+    let mut extrapolator = PoseExtrapolator::new(0.001, 10.0, true);
+    for i in 0..3 {
+        extrapolator.add_pose(at(0.1 * f64::from(i)), along(f64::from(i)));
+    }
+    for i in 0..4 {
+        extrapolator.add_odometry(&odometry(0.1 * f64::from(i), along(0.0))).unwrap();
+    }
+    let mut without = extrapolator.without_odometry();
+    assert!(extrapolator.has_odometry(at(0.3)) && !without.has_odometry(at(0.3)));
+    assert!(is_near(&extrapolator.extrapolate_pose(at(0.3)), &along(2.0), 1e-6, 1e-6), "wheels stand");
+    assert!(is_near(&without.extrapolate_pose(at(0.3)), &along(3.0), 1e-6, 1e-6), "poses go on");
+}
+
 /// The golden run of `vectors.md` §9: what is predicted at the end of each of four steps, the gravity
 /// orientation there, and the prediction half a step later.
 fn golden_run() -> Vec<(Rigid3, Quaternion, Rigid3)> {
