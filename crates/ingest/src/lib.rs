@@ -51,7 +51,7 @@ pub use skew::{Skew, SkewFactor, SkewState};
 pub use statistics::{ImuStatistics, RangeStatistics};
 pub use steady_clock::StampJitter;
 pub use survey::{Inventory, TopicSurvey, is_tf};
-pub use tf::{TfError, TfInput, TfTree, frame_name, is_fixed_frame};
+pub use tf::{TfError, TfInput, TfTree, frame_name};
 pub use urdf::{FixedJoint, RobotDescription, parse_urdf, read_urdf};
 
 // How single messages are read, for those who judge recordings by what mapping would make of them.

@@ -9,7 +9,8 @@ use portolan_geometry::{Rigid3, Vector3};
 use crate::segment::TrajectorySegment;
 use crate::settings::MotionPriorSettings;
 
-/// Logarithm of the odds that odometry works before anything is known, and the most of them either way: failures begin and end.
+/// Logarithm of the odds that odometry works before anything is known, and the most of them either way, so that a failure that
+/// begins or ends is noticed within a few sweeps. Assumed, not measured.
 const AT_FIRST: f64 = 3.0;
 const MOST: f64 = 6.0;
 /// A prediction that is farther off than this tells no more, nats: other things go wrong, too.
@@ -78,7 +79,7 @@ impl TwoMotions {
         let turn = if self.rotation_is_measured { 0.0 } else { predicted.rotation.angle_to(&found.rotation) };
         let squares = (shift.norm() / off.translation).powi(2) + (turn / off.rotation).powi(2);
         let told = 3 - open.len().min(3);
-        (0.5 * squares + told as f64 * off.translation.ln()).min(OUTLIER + told as f64 * off.translation.ln())
+        (0.5 * squares).min(OUTLIER) + told as f64 * off.translation.ln()
     }
 }
 
