@@ -18,7 +18,7 @@ mod later;
 mod local_map;
 mod motion_state;
 mod odometry;
-mod odometry_trust;
+mod odometry_prior;
 mod phase;
 mod pieces;
 mod plane_fit;

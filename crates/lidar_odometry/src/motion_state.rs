@@ -11,11 +11,11 @@ use crate::gyroscope::SaturationDetector;
 use crate::inertial::{InertialFilter, InertialPrediction, InertialStart, PoseMeasurement};
 use crate::initialise::VELOCITY_INTERVAL;
 use crate::issues::Issue;
-use crate::odometry_trust::{OdometryTrust, TwoMotions};
+use crate::odometry_prior::{MeasuredPlace, OdometryPrediction, OdometryPrior};
 use crate::predict::{self, Alternative, Prediction, Reason};
 use crate::registration::DegenerateDirections;
 use crate::segment::{MotionSource, TrajectorySegment};
-use crate::settings::{HypothesisSettings, MotionPriorSettings, OdometrySettings};
+use crate::settings::{HypothesisSettings, OdometrySettings};
 use crate::standstill::ZeroVelocityDetector;
 
 /// Follows the motion.
@@ -31,10 +31,7 @@ pub(crate) struct MotionState {
     resumed_at: Option<Time>,
     zero_velocity: ZeroVelocityDetector,
     inertial: InertialFilter,
-    /// What predicts as if there was no odometry, since there is some.
-    without_odometry: Option<PoseExtrapolator>,
-    odometry_trust: OdometryTrust,
-    motion_prior: MotionPriorSettings,
+    odometry: OdometryPrior,
     hypotheses: HypothesisSettings,
     /// What two sparse sweeps are off by, m/s.
     first_velocity_error: f64,
@@ -48,6 +45,8 @@ pub(crate) struct SweepEnd<'a> {
     pub degenerate: &'a DegenerateDirections,
     /// Covariance of attenuation, m² in the local map. None where the sweep fits nothing.
     pub attenuation: Option<Matrix3<f64>>,
+    /// Where its points alone put it; none where the sweep fits nothing.
+    pub measured: Option<&'a MeasuredPlace>,
     pub is_standing: bool,
     /// Whether the rotation tells something of the gyroscope. Before the map is warmed up it does not: what the first sweeps
     /// got wrong fits the map that was made of them.
@@ -72,9 +71,7 @@ impl MotionState {
             resumed_at: None,
             zero_velocity: ZeroVelocityDetector::new(settings),
             inertial: InertialFilter::new(settings),
-            without_odometry: None,
-            odometry_trust: OdometryTrust::default(),
-            motion_prior: settings.motion_prior.clone(),
+            odometry: OdometryPrior::new(&settings.motion_prior),
             hypotheses: settings.hypotheses.clone(),
             first_velocity_error: settings.inertial.first_velocity,
         };
@@ -100,10 +97,7 @@ impl MotionState {
         if self.extrapolator.add_imu(&corrected).is_err() {
             return Some(Issue::ImuSampleTooOld);
         }
-        if let Some(without) = &mut self.without_odometry {
-            // What the other one takes.
-            let _ = without.add_imu(&corrected);
-        }
+        self.odometry.add_imu(&corrected);
         self.zero_velocity.add_imu(&corrected);
         self.inertial.add_imu(data);
         (!self.has_imu).then_some(Issue::ImuAfterStart)
@@ -111,67 +105,96 @@ impl MotionState {
 
     /// Takes an odometry pose, in order of time. Gives what is wrong with it.
     pub fn add_odometry(&mut self, data: &OdometryData) -> Option<Issue> {
-        if self.without_odometry.is_none() {
-            self.without_odometry = Some(self.extrapolator.without_odometry());
-        }
+        self.odometry.begin(&self.extrapolator);
         self.extrapolator.add_odometry(data).is_err().then_some(Issue::OdometryTooOld)
     }
 
     /// What is expected of a sweep that ends at `end`.
     ///
-    /// The most likely motion is that the platform stands, if it does; else what odometry measured; else what the
-    /// accelerometer says, once that is reliable; else constant velocity. Rotation is the gyroscope's if there is one.
+    /// The most likely motion is that the platform stands, if it does; else what odometry measured, where it is believed; else, or where
+    /// that is more precise, what the accelerometer says, once that is reliable; else constant velocity. Rotation is the gyroscope's if
+    /// there is one.
     pub fn predict(&mut self, end: Time) -> Prediction {
         self.extrapolator.prepare(end);
         let start = self.extrapolator.last_pose_time();
-        let measured = predict::extrapolated(&mut self.extrapolator, end);
-        let otherwise = self.without_odometry(end);
-        let two = otherwise.as_ref().map(|otherwise| {
-            TwoMotions::new(&measured, otherwise, self.has_gyroscope(end), &self.motion_prior)
-        });
-        let is_believed = otherwise.is_none() || self.odometry_trust.works();
-        let (extrapolated, other) = match otherwise {
-            Some(otherwise) if !is_believed => (otherwise, Some(measured)),
-            otherwise => (measured, otherwise),
-        };
-        let has_odometry = is_believed && self.extrapolator.has_odometry(end);
-        let they_differ = two.is_some_and(|two| two.differ());
-        // Where it may be odometry that fails, it is no witness of rest.
-        if has_odometry && !they_differ {
-            self.zero_velocity.add_odometry(&extrapolated.translation(), extrapolated.seconds());
-        }
+        // 1. As odometry says, and as it goes on without.
+        let (extrapolated, odometry) = self.extrapolated(end);
+        // 2. Standing.
         let standing = self.zero_velocity.pose();
+        // 3. As the accelerometer says.
         let inertial =
             start.filter(|_| self.has_imu).and_then(|start| self.inertial.predict(start, &extrapolated));
-        let mut segment = match (&standing, &inertial) {
-            (Some(pose), _) => {
-                let mut segment = predict::standing(&self.extrapolator, end, pose);
-                segment.source = MotionSource::Measured;
-                segment
-            }
-            (None, Some(inertial)) if !has_odometry && self.inertial.is_reliable() => {
-                let mut segment = inertial.segment.clone();
-                segment.source = MotionSource::Inertial { velocity_sigma: self.inertial.velocity_sigma() };
-                segment
-            }
-            _ => extrapolated.clone(),
-        };
+        // 4. The likeliest.
+        let mut segment = self.likeliest(standing.as_ref(), inertial.as_ref(), &extrapolated, end);
         let is_complete = self.resumed_at.is_none_or(|resumed| start.is_some_and(|start| resumed <= start));
         segment.rotation_is_measured = self.has_gyroscope(end) && is_complete;
+        // 5. Others, where it may be wrong.
         let is_saturated = self.saturated_at > start;
         let mut alternatives = self.alternatives(end, &segment, &extrapolated, is_saturated);
-        if let (Some(mut segment), true) = (other, they_differ) {
-            segment.rotation_is_measured = self.has_gyroscope(end) && is_complete;
-            alternatives.push(Alternative { reason: Reason::OdometryFails, segment, clearly_better: 1.0 });
-        }
-        Prediction { extrapolated, inertial, standing, segment, alternatives, is_saturated, odometry: two }
+        alternatives.extend(odometry.as_ref().and_then(|odometry| {
+            let mut other = self.other_than(&extrapolated, odometry)?;
+            other.rotation_is_measured = segment.rotation_is_measured;
+            let clearly_better = self.hypotheses.better_over_sweeps;
+            Some(Alternative { reason: Reason::OdometryFails, segment: other, clearly_better })
+        }));
+        Prediction { extrapolated, inertial, standing, segment, alternatives, is_saturated, odometry }
     }
 
-    /// What is expected of a sweep if odometry fails; none where there is none.
-    fn without_odometry(&mut self, end: Time) -> Option<TrajectorySegment> {
-        let without = self.without_odometry.as_mut().filter(|_| self.extrapolator.has_odometry(end))?;
-        without.prepare(end);
-        Some(predict::extrapolated(without, end))
+    /// The likeliest motion.
+    fn likeliest(
+        &self,
+        standing: Option<&Rigid3>,
+        inertial: Option<&InertialPrediction>,
+        extrapolated: &TrajectorySegment,
+        end: Time,
+    ) -> TrajectorySegment {
+        let (mut segment, source) = match (standing, inertial) {
+            (Some(pose), _) => (predict::standing(&self.extrapolator, end, pose), MotionSource::Standing),
+            (None, Some(inertial)) if self.relies_on(inertial, extrapolated) => {
+                let velocity_sigma = self.inertial.velocity_sigma();
+                (inertial.segment.clone(), MotionSource::Inertial { velocity_sigma })
+            }
+            _ => (extrapolated.clone(), extrapolated.source),
+        };
+        segment.source = source;
+        segment
+    }
+
+    /// As the platform goes on without accelerometer, and what odometry has to do with it.
+    fn extrapolated(&mut self, end: Time) -> (TrajectorySegment, Option<OdometryPrediction>) {
+        let rotation_is_measured = self.has_gyroscope(end);
+        let told = predict::extrapolated(&mut self.extrapolator, end);
+        let is_told = self.extrapolator.has_odometry(end);
+        let odometry = is_told.then(|| self.odometry.predict(&told, end, rotation_is_measured)).flatten();
+        let Some(odometry) = odometry else { return (told, None) };
+        // Where it may be odometry that fails, it is no witness of rest.
+        if self.odometry.works() && !odometry.they_differ() {
+            self.zero_velocity.add_odometry(&odometry.measured.translation(), told.seconds());
+        }
+        (self.odometry.likelier(&odometry).clone(), Some(odometry))
+    }
+
+    /// The motion that is taken if it is odometry that fails, or that works; none if it does not matter.
+    fn other_than(
+        &self,
+        first: &TrajectorySegment,
+        odometry: &OdometryPrediction,
+    ) -> Option<TrajectorySegment> {
+        let is_measured = matches!(first.source, MotionSource::Odometry { .. });
+        let other = if is_measured { &odometry.otherwise } else { &odometry.measured };
+        odometry.they_differ().then(|| other.clone())
+    }
+
+    /// Whether the accelerometer is relied on, and says more than what is known otherwise.
+    fn relies_on(&self, inertial: &InertialPrediction, otherwise: &TrajectorySegment) -> bool {
+        let sigma = self.inertial.velocity_sigma() * inertial.segment.seconds();
+        let is_better = match otherwise.source {
+            MotionSource::Odometry { translation_sigma } => {
+                self.odometry.velocity_is_known() && sigma < translation_sigma
+            }
+            _ => true,
+        };
+        self.inertial.is_reliable() && is_better
     }
 
     /// What is expected of the first sweep after a gap if the platform moved so meanwhile.
@@ -242,10 +265,10 @@ impl MotionState {
         if self.has_imu {
             self.update_inertial(prediction, inertial, end);
         }
-        if let (Some(two), Some(_)) = (&prediction.odometry, end.attenuation) {
-            let turn = end.local_from_tracking.rotation;
-            let open: Vec<Vector3> = end.degenerate.translations.iter().map(|open| turn * open).collect();
-            self.odometry_trust.learn(two, end.local_from_tracking, &open);
+        self.odometry.saw(end.measured);
+        if let (Some(odometry), Some(found)) = (&prediction.odometry, end.measured) {
+            let start = prediction.segment.start().translation.vector;
+            self.odometry.learn(odometry, &start, found, end.tells_rotation);
         }
         if let Some(velocities) = end.velocities {
             let before = end.time - Duration::from_seconds(VELOCITY_INTERVAL);
@@ -259,7 +282,7 @@ impl MotionState {
     /// Takes a pose that is known, with odometry and without.
     pub fn add_pose(&mut self, time: Time, local_from_tracking: Rigid3) {
         for extrapolator in
-            [Some(&mut self.extrapolator), self.without_odometry.as_mut()].into_iter().flatten()
+            [Some(&mut self.extrapolator), self.odometry.without_odometry()].into_iter().flatten()
         {
             extrapolator.add_pose(time, local_from_tracking);
         }
@@ -267,13 +290,15 @@ impl MotionState {
 
     /// Begins to predict anew, from poses alone.
     pub fn forget_motion(&mut self, extrapolator: PoseExtrapolator) {
-        self.without_odometry = self.without_odometry.as_ref().map(|_| extrapolator.clone());
+        if let Some(without) = self.odometry.without_odometry() {
+            *without = extrapolator.clone();
+        }
         self.extrapolator = extrapolator;
     }
 
     /// Whether there is odometry that sweeps contradict.
     pub fn doubts_odometry(&self) -> bool {
-        self.without_odometry.is_some() && !self.odometry_trust.works()
+        self.odometry.is_doubted()
     }
 
     /// Corrects the inertial filter, or begins it anew.

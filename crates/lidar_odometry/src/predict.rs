@@ -6,7 +6,7 @@ use portolan_motion::PoseExtrapolator;
 use crate::gap::Velocities;
 use crate::hypotheses::{self, Other};
 use crate::inertial::InertialPrediction;
-use crate::odometry_trust::TwoMotions;
+use crate::odometry_prior::OdometryPrediction;
 use crate::segment::{MotionSource, TrajectorySegment};
 use crate::sweep_registration::RegisteredSegment;
 use crate::witness::Discrepancy;
@@ -26,7 +26,7 @@ pub(crate) struct Prediction {
     /// Whether the gyroscope was at the end of its range.
     pub is_saturated: bool,
     /// Where odometry leads, and where the platform goes without, if there is odometry.
-    pub odometry: Option<TwoMotions>,
+    pub odometry: Option<OdometryPrediction>,
 }
 
 /// Another hypothesis of the motion.
@@ -125,12 +125,7 @@ fn start_of(extrapolator: &PoseExtrapolator, end: Time) -> Time {
 
 /// As an extrapolator predicts it.
 pub(crate) fn extrapolated(extrapolator: &mut PoseExtrapolator, end: Time) -> TrajectorySegment {
-    let start = start_of(extrapolator, end);
-    let mut segment = TrajectorySegment::new(start, end, |t| extrapolator.extrapolate_pose(t));
-    if extrapolator.has_odometry(end) {
-        segment.source = MotionSource::Measured;
-    }
-    segment
+    TrajectorySegment::new(start_of(extrapolator, end), end, |t| extrapolator.extrapolate_pose(t))
 }
 
 /// As an extrapolator predicts it, but rotating as the last poses did instead of as a gyroscope says.

@@ -88,12 +88,21 @@ pub struct RegistrationResult {
     pub information: na::Matrix6<f64>,
     /// Where the prior decided instead of the points.
     pub degenerate: DegenerateDirections,
-    /// Covariance of what attenuation may keep the place off by, m², in the frame of the planes. Zero unless the prior
-    /// says [`MotionPrior::compensates_attenuation`].
+    /// Covariance of what attenuation may keep the place off by, m², in the frame of the planes.
     pub attenuation: na::Matrix3<f64>,
 }
 
 impl RegistrationResult {
+    /// Covariance of the place as points alone tell it, with attenuation, whatever the rotation is: m² in the frame of the planes.
+    /// What they leave open is known to a metre.
+    pub(crate) fn place_covariance(&self) -> Option<na::Matrix3<f64>> {
+        let block = |row, column| self.information.fixed_view::<3, 3>(row, column).into_owned();
+        let through_rotation = block(0, 3) * block(3, 3).try_inverse()? * block(3, 0);
+        let of_place = block(0, 0) - through_rotation + na::Matrix3::identity();
+        let open = self.degenerate.translations.iter().map(|open| open * open.transpose());
+        Some(of_place.try_inverse()? + self.attenuation + open.sum::<na::Matrix3<f64>>())
+    }
+
     /// How well it fits: the fraction of points on planes, halved where their root mean square distance is the
     /// final scale of the loss.
     pub(crate) fn fit(&self, final_scale: f64) -> f64 {
@@ -116,7 +125,7 @@ pub struct Registration {
 struct Iteration {
     equations: NormalEquations,
     degenerate: DegenerateDirections,
-    attenuation: Option<Attenuation>,
+    attenuation: Attenuation,
     /// What poles alone say of translation and rotation.
     by_poles: Option<[na::Matrix3<f64>; 2]>,
     /// The squared length of the step in standard deviations of the result.
@@ -238,7 +247,7 @@ impl Registration {
             rms: (squares / points.max(1) as f64).sqrt(),
             information: equations.hessian,
             degenerate,
-            attenuation: attenuation.map_or_else(na::Matrix3::zeros, |a| a.covariance()),
+            attenuation: attenuation.covariance(),
         })
     }
 
@@ -266,9 +275,9 @@ impl Registration {
         }
         // 3. What the points leave open, and what errors of normals hide.
         let degenerate = DegenerateDirections::of(&equations);
-        let attenuation = prior.compensates_attenuation.then(|| Attenuation::of(&equations, scene.planes));
+        let attenuation = Attenuation::of(&equations, scene.planes);
         // 4. The step of points and prior together.
-        let step = solve(&equations, correction, prior, &degenerate, attenuation.as_ref())?;
+        let step = solve(&equations, correction, prior, &degenerate, &attenuation)?;
         correction.start += step.correction.start;
         correction.growth += step.correction.growth;
         let squared_decrement = step.squared_decrement;

@@ -28,8 +28,13 @@ pub struct TrajectorySegment {
 /// What the translation of a trajectory segment comes from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum MotionSource {
-    /// Odometry, or a zero-velocity update.
-    Measured,
+    /// A zero-velocity update.
+    Standing,
+    /// Odometry.
+    Odometry {
+        /// How far off it is at the end along each axis, metres (standard deviation).
+        translation_sigma: f64,
+    },
     /// The accelerometer, integrated from a velocity of the inertial filter.
     Inertial {
         /// Standard deviation of that velocity, m/s.
@@ -37,6 +42,13 @@ pub enum MotionSource {
     },
     /// Constant velocity: nothing measured it.
     ConstantVelocity,
+}
+
+impl MotionSource {
+    /// Whether odometry or rest tells it, and no inference from velocities.
+    pub fn is_measured(self) -> bool {
+        matches!(self, Self::Standing | Self::Odometry { .. })
+    }
 }
 
 /// What a predicted segment is off by. First three entries a translation in metres, last three a rotation vector about
@@ -76,7 +88,7 @@ impl TrajectorySegment {
             spacing: 0.0,
             poses: vec![pose; 2],
             rotation_is_measured: true,
-            source: MotionSource::Measured,
+            source: MotionSource::Standing,
         }
     }
 

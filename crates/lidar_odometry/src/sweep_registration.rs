@@ -8,8 +8,10 @@ use crate::belief::SweepFit;
 use crate::deskew::PiecewiseLinearTrajectory;
 use crate::initialise::COARSE;
 use crate::innovations::Innovations;
+use crate::odometry_prior::MeasuredPlace;
 use crate::plane_map::PlaneMap;
 use crate::poles::PolesToRegister;
+use crate::predict::{Reason, Registered};
 use crate::registration::{MotionPrior, Registration, RegistrationResult, Sigmas};
 use crate::segment::{MotionSource, SegmentCorrection, TrajectorySegment};
 use crate::settings::{MotionPriorSettings, OdometrySettings, SweepSettings};
@@ -192,7 +194,8 @@ impl SweepRegistration {
         let least = prior.least_translation_error;
         Sigmas {
             translation: match segment.source {
-                MotionSource::Measured => least + prior.odometry_drift * seconds,
+                MotionSource::Standing => least + prior.odometry_drift * seconds,
+                MotionSource::Odometry { translation_sigma } => translation_sigma,
                 MotionSource::Inertial { velocity_sigma } => least + velocity_sigma * seconds,
                 MotionSource::ConstantVelocity => least + prior.by_acceleration(seconds),
             },
@@ -201,6 +204,31 @@ impl SweepRegistration {
                 false => prior.least_rotation_error + 0.5 * prior.rotational_acceleration * seconds * seconds,
             },
         }
+    }
+
+    /// Where the points of a registered sweep alone put it, along the directions of which they say more than the prior: what that
+    /// keeps it off by is taken out. `local_from_map`: of the planes. None where they fit nothing.
+    pub fn measured_place(&self, best: &Registered, local_from_map: &Rigid3) -> Option<MeasuredPlace> {
+        let Registered { segment, registered, reason } = best;
+        let turn = local_from_map.rotation.to_rotation_matrix();
+        let covariance = turn * registered.found.as_ref()?.place_covariance()? * turn.transpose();
+        let MotionPrior { start, growth, .. } = self.motion_prior(segment);
+        let of_prior = start.translation.powi(2) + growth.translation.powi(2);
+        let mut local_from_tracking = registered.local_from_tracking;
+        let correction = local_from_tracking.translation.vector - segment.end().translation.vector;
+        let mut told = Vec::new();
+        let eigen = covariance.symmetric_eigen();
+        for (direction, &variance) in eigen.eigenvectors.column_iter().zip(&eigen.eigenvalues) {
+            if variance > of_prior {
+                continue;
+            }
+            let direction = direction.into_owned();
+            // What was looked for far and wide is held by no prior.
+            let held = if *reason == Some(Reason::OtherMotion) { 0.0 } else { variance / of_prior };
+            local_from_tracking.translation.vector += direction * (held * direction.dot(&correction));
+            told.push((direction, variance));
+        }
+        Some(MeasuredPlace { local_from_tracking, covariance, of_prior, told })
     }
 
     /// How far off a predicted segment may be: as usual, less where constant rotation was less off lately.

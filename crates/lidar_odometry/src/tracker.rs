@@ -26,7 +26,7 @@ use crate::predict::{Prediction, Registered};
 use crate::segment::{MotionSource, TrajectorySegment};
 use crate::settings::OdometrySettings;
 use crate::sweep::Sweep;
-use crate::sweep_registration::{RegisteredSegment, SweepRegistration};
+use crate::sweep_registration::SweepRegistration;
 use crate::witness::Witness;
 use finding::Found;
 
@@ -222,6 +222,7 @@ impl Tracker {
         let deskewed = deskewed(&sweep.points, &best.registered.to_end, self.settings.keeps_intensities);
         // 6. Where no plane fits another map may know, and a platform at rest stands where it stood.
         let place = self.place(sweep.end, &best, &deskewed, fallback);
+        let measured = self.registration.measured_place(&best, &self.local_map.older().local_from_map);
         // 7. Correct the inertial filter and the extrapolator.
         let tells_rotation =
             best.registered.found.is_some() && belief == Belief::Sure && !self.is_warming_up();
@@ -230,6 +231,7 @@ impl Tracker {
             local_from_tracking: &place.local_from_tracking,
             degenerate: &observability.degenerate,
             attenuation: place.attenuation,
+            measured: measured.as_ref(),
             is_standing: place.is_standing,
             tells_rotation: place.is_standing || tells_rotation,
             velocities,
@@ -277,7 +279,7 @@ impl Tracker {
         fallback: Option<&mut (dyn Fallback + '_)>,
     ) -> Place {
         let mut pose = best.registered.local_from_tracking;
-        let mut attenuation = self.attenuation_in_local(&best.registered);
+        let mut attenuation = self.attenuation_in_local(best);
         if self.asks_fallback(end, &best.segment, best.registered.found.is_some())
             && let Some(fallback) = fallback
         {
@@ -289,9 +291,13 @@ impl Tracker {
         Place { local_from_tracking: standing.unwrap_or(pose), attenuation, is_standing: standing.is_some() }
     }
 
-    /// The covariance of what attenuation may keep a place off by, m² in the local map; none where a sweep fits nothing.
-    fn attenuation_in_local(&self, registered: &RegisteredSegment) -> Option<Matrix3<f64>> {
-        let found = registered.found.as_ref()?;
+    /// The covariance of what attenuation may keep a place off by, m² in the local map: none where a sweep fits nothing, zero where
+    /// no accelerometer knows better.
+    fn attenuation_in_local(&self, best: &Registered) -> Option<Matrix3<f64>> {
+        let found = best.registered.found.as_ref()?;
+        if !matches!(best.segment.source, MotionSource::Inertial { .. }) {
+            return Some(Matrix3::zeros());
+        }
         let turn = self.local_map.older().local_from_map.rotation.to_rotation_matrix();
         Some(turn * found.attenuation * turn.transpose())
     }

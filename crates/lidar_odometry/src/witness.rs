@@ -118,7 +118,7 @@ impl Witness {
     /// How much farther it came than a prediction says, as far as planes left that open; none if nothing is to be changed. To be
     /// asked of each sweep before it is registered.
     pub fn hear(&mut self, sweep: &Sweep, segment: &TrajectorySegment) -> Option<Discrepancy> {
-        if segment.source == MotionSource::Measured || self.open.is_empty() {
+        if segment.source.is_measured() || self.open.is_empty() {
             return None;
         }
         let is_due = |asked| sweep.end.seconds_since(asked) > self.settings.interval;
@@ -321,7 +321,7 @@ mod tests {
     fn what_is_right_or_measured_is_left_alone() {
         let (witness, right) = heard(|t| 4.0 * t, |t| 4.0 * t, MotionSource::ConstantVelocity);
         assert!(right.unwrap().shift.norm() < 0.1 && witness.has_told(time(1.4)), "{right:?}");
-        let (_, measured) = heard(|t| 4.0 * t, |t| 2.0 * t, MotionSource::Measured);
+        let (_, measured) = heard(|t| 4.0 * t, |t| 2.0 * t, MotionSource::Standing);
         assert_eq!(measured, None);
         let inertial = MotionSource::Inertial { velocity_sigma: 0.1 };
         // Less than a correlation resolves, and more.

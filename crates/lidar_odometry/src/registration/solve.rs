@@ -31,7 +31,7 @@ pub(super) fn solve(
     correction: &SegmentCorrection,
     prior: &MotionPrior,
     degenerate: &DegenerateDirections,
-    attenuation: Option<&Attenuation>,
+    attenuation: &Attenuation,
 ) -> Option<Step> {
     let stiffness = |sigmas: &Sigmas| {
         let mut stiffness = na::Matrix6::zeros();
@@ -40,13 +40,12 @@ pub(super) fn solve(
         {
             let information = equations.hessian.fixed_view::<3, 3>(at, at).into_owned();
             let mut block = na::Matrix3::from_diagonal_element(1.0 / (sigma * sigma));
-            match attenuation.filter(|_| at == 0) {
-                Some(attenuation) => block *= attenuation.stiffening(&information),
-                None => {
-                    for direction in directions {
-                        let known = direction.dot(&(information * direction)).abs();
-                        block += direction * direction.transpose() * (PRIOR_FACTOR * known);
-                    }
+            if at == 0 && prior.compensates_attenuation {
+                block *= attenuation.stiffening(&information);
+            } else {
+                for direction in directions {
+                    let known = direction.dot(&(information * direction)).abs();
+                    block += direction * direction.transpose() * (PRIOR_FACTOR * known);
                 }
             }
             stiffness.fixed_view_mut::<3, 3>(at, at).copy_from(&block);

@@ -92,9 +92,13 @@ settings! {
             origin: "hand-held lidars",
             larger: "constant rotation counts less";
         odometry_drift: f64 = 0.2, "m/s", 0.001..=10.0,
-            "What odometry may be off by, per second",
+            "What odometry may be off by, per second, until sweeps say more",
             origin: "slipping wheels",
-            larger: "odometry counts less";
+            larger: "odometry counts less at first";
+        odometry_calibration: f64 = 0.1, "1, and rad", 0.0..=1.0,
+            "What the scale of odometry and the direction of its motion may be off by before sweeps say more (standard deviation)",
+            origin: "assumed: wheels of another size, a lidar mounted askew, ramps that wheels do not feel",
+            larger: "odometry counts less at first, and worse odometry is corrected instead of left out";
         least_translation_error: f64 = 0.01, "m", 0.0..=1.0,
             "What any prediction of a translation may be off by at least, and the end of the sweep before",
             origin: "jitter of stamps; a start held faster is a trap, errors come back with the opposite sign; 0.005 to 0.05 come out alike there",

@@ -34,7 +34,7 @@ impl Tracker {
         self.witness.leaves_open(end, registered.open_translations());
         let (up, seconds) = (tracking_from_local * Vector3::z(), segment.seconds());
         // Where nothing measures the motion, its direction is not known either.
-        let translation_is_measured = segment.source == MotionSource::Measured;
+        let translation_is_measured = segment.source.is_measured();
         let found = registered.found.as_ref();
         if translation_is_measured || found.is_some_and(|f| f.degenerate.translations.is_empty()) {
             let translation =
@@ -72,7 +72,7 @@ impl Tracker {
     ) -> (Substitute, Substitute) {
         let translation = match segment.source {
             _ if was_standing => Substitute::Rest,
-            MotionSource::Measured => Substitute::Odometry,
+            MotionSource::Standing | MotionSource::Odometry { .. } => Substitute::Odometry,
             MotionSource::Inertial { .. } => Substitute::Accelerometer,
             MotionSource::ConstantVelocity if self.witness.has_told(end) => Substitute::Correlation,
             MotionSource::ConstantVelocity => Substitute::Velocity,

@@ -1,0 +1,161 @@
+//! What the odometry of the platform says of the next motion, and what sweeps say of the odometry: by how much its motions are to be
+//! corrected, how far they are off then, and whether it fails altogether.
+
+mod calibration;
+mod trust;
+
+use portolan_geometry::nalgebra::Matrix3;
+use portolan_geometry::{Rigid3, Time, Vector3};
+use portolan_motion::PoseExtrapolator;
+use portolan_sensor::ImuData;
+
+use crate::predict;
+use crate::segment::{MotionSource, TrajectorySegment};
+use crate::settings::MotionPriorSettings;
+use calibration::{Calibration, ToldMotion};
+use trust::{OdometryTrust, Predicted, TwoMotions};
+
+/// Follows how far odometry may be believed.
+#[derive(Clone, Debug)]
+pub(crate) struct OdometryPrior {
+    /// Predicts as if there was no odometry, once there is some.
+    without: Option<PoseExtrapolator>,
+    calibration: Calibration,
+    trust: OdometryTrust,
+    /// Whether the last sweep told the whole motion. Where it did not, constant velocity goes on with what was assumed.
+    velocity_is_known: bool,
+    settings: MotionPriorSettings,
+}
+
+/// What is expected of a sweep where there is odometry.
+#[derive(Clone, Debug)]
+pub(crate) struct OdometryPrediction {
+    /// As odometry says, corrected.
+    pub measured: TrajectorySegment,
+    /// As the platform goes on without odometry.
+    pub otherwise: TrajectorySegment,
+    told: ToldMotion,
+    two: TwoMotions,
+}
+
+/// Where a sweep was found to end, as far as its points say.
+pub(crate) struct MeasuredPlace {
+    pub local_from_tracking: Rigid3,
+    /// Covariance of the place as points alone tell it, m² in the local map, and what the prior says of it along each axis, m².
+    pub covariance: Matrix3<f64>,
+    pub of_prior: f64,
+    /// Directions along which points tell it, orthonormal in the local map, and the variance along each, m².
+    pub told: Vec<(Vector3, f64)>,
+}
+
+impl OdometryPrior {
+    pub fn new(settings: &MotionPriorSettings) -> Self {
+        Self {
+            without: None,
+            calibration: Calibration::new(settings),
+            trust: OdometryTrust::default(),
+            velocity_is_known: false,
+            settings: settings.clone(),
+        }
+    }
+
+    /// Says that there is odometry: from now on both motions are predicted. `extrapolator` has not taken it yet.
+    pub fn begin(&mut self, extrapolator: &PoseExtrapolator) {
+        if self.without.is_none() {
+            self.without = Some(extrapolator.without_odometry());
+        }
+    }
+
+    /// What predicts without odometry, to be told what the other extrapolator is told.
+    pub fn without_odometry(&mut self) -> Option<&mut PoseExtrapolator> {
+        self.without.as_mut()
+    }
+
+    /// Takes a sample of an IMU that the other extrapolator took.
+    pub fn add_imu(&mut self, corrected: &ImuData) {
+        if let Some(without) = &mut self.without {
+            let _ = without.add_imu(corrected);
+        }
+    }
+
+    /// What is expected of a sweep for which odometry told this, in the segment as it was told. `rotation_is_measured`: both
+    /// rotations are a gyroscope's. None where there is no odometry.
+    pub fn predict(
+        &mut self,
+        told: &TrajectorySegment,
+        end: Time,
+        rotation_is_measured: bool,
+    ) -> Option<OdometryPrediction> {
+        let without = self.without.as_mut()?;
+        without.prepare(end);
+        let otherwise = predict::extrapolated(without, end);
+        let motion = ToldMotion { translation: told.translation(), seconds: told.seconds() };
+        let sigma = self.calibration.sigma(&motion);
+        let mut measured = self.calibration.corrected(told, &motion);
+        measured.source = MotionSource::Odometry { translation_sigma: sigma };
+        let by_acceleration =
+            self.settings.least_translation_error + self.settings.by_acceleration(otherwise.seconds());
+        let seconds = told.seconds();
+        let two = TwoMotions {
+            measured: Predicted { end: measured.end(), sigma },
+            otherwise: Predicted { end: otherwise.end(), sigma: by_acceleration },
+            rotation_sigma: (!rotation_is_measured).then_some(
+                self.settings.least_rotation_error
+                    + 0.5 * self.settings.rotational_acceleration * seconds * seconds,
+            ),
+        };
+        Some(OdometryPrediction { measured, otherwise, told: motion, two })
+    }
+
+    /// Takes where a sweep was found, whether there was odometry or not; none where it fits nothing.
+    pub fn saw(&mut self, found: Option<&MeasuredPlace>) {
+        self.velocity_is_known = found.is_some_and(|found| found.told.len() == 3);
+    }
+
+    /// Takes where a sweep was found that began at `start` in the local map, for which this was predicted. `is_sure`: it fits a map
+    /// that was not made of the last few sweeps alone.
+    pub fn learn(
+        &mut self,
+        predicted: &OdometryPrediction,
+        start: &Vector3,
+        found: &MeasuredPlace,
+        is_sure: bool,
+    ) {
+        self.trust.learn(&predicted.two, found);
+        if is_sure && self.trust.works() {
+            let moved = found.local_from_tracking.translation.vector - start;
+            self.calibration.learn(&predicted.told, &moved, found);
+        }
+    }
+
+    /// Whether odometry is rather believed than not.
+    pub fn works(&self) -> bool {
+        self.trust.works()
+    }
+
+    /// The likelier of the two motions.
+    pub fn likelier<'a>(&self, predicted: &'a OdometryPrediction) -> &'a TrajectorySegment {
+        let is_more_precise = predicted.two.measured.sigma <= predicted.two.otherwise.sigma;
+        match self.trust.works() && (is_more_precise || !self.velocity_is_known) {
+            true => &predicted.measured,
+            false => &predicted.otherwise,
+        }
+    }
+
+    /// Whether the last sweep told the whole motion, so that going on from there is as good as measuring.
+    pub fn velocity_is_known(&self) -> bool {
+        self.velocity_is_known
+    }
+
+    /// Whether there is odometry that sweeps contradict.
+    pub fn is_doubted(&self) -> bool {
+        self.without.is_some() && !self.trust.works()
+    }
+}
+
+impl OdometryPrediction {
+    /// Whether it matters which of the two motions is right.
+    pub fn they_differ(&self) -> bool {
+        self.two.differ()
+    }
+}

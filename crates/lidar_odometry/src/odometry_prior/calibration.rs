@@ -1,0 +1,174 @@
+//! By how much motions of odometry are to be corrected, and how far they are off then.
+//!
+//! Wheels are of another size than said, odometry is mounted otherwise than said, or it measures in the plane while the platform
+//! drives up a ramp: its translations are too long by a factor and turned by two angles. Kalman filters follow these three from
+//! the motions of sweeps, as "Simultaneous Calibration of Odometry and Sensor Parameters for Mobile Robots" (Censi, Franchi,
+//! Marchionni, Oriolo, IEEE Transactions on Robotics 29, 2013) estimates them by least squares; what is left is the noise, whose
+//! variance follows from the innovations.
+
+use portolan_geometry::Vector3;
+use portolan_geometry::nalgebra::Matrix3;
+use portolan_numeric::CovarianceMatching;
+
+use super::MeasuredPlace;
+use crate::segment::TrajectorySegment;
+use crate::settings::MotionPriorSettings;
+
+/// About so many sweeps say how large the noise is, and by which factor of its variance it may be other than assumed.
+const MEMORY: f64 = 20.0;
+const NOISE: (f64, f64) = (0.01, 1e4);
+/// After so many seconds nothing is known of the calibration: a platform drives up a ramp and down again. Assumed.
+const FORGOTTEN: f64 = 100.0;
+/// An innovation of more standard deviations (squared) tells nothing of the calibration.
+const OUTLIER: f64 = 9.0;
+
+/// What odometry tells of the motion since the last sweep.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ToldMotion {
+    /// Metres in the local map.
+    pub translation: Vector3,
+    pub seconds: f64,
+}
+
+/// The calibration of odometry.
+#[derive(Clone, Debug)]
+pub(crate) struct Calibration {
+    /// What told motions are to be longer by, to the left by and up by, for each metre, and the variance of each.
+    mean: Vector3,
+    variances: Vector3,
+    /// Variance of the noise, against what is assumed.
+    noise: CovarianceMatching,
+    settings: MotionPriorSettings,
+}
+
+impl Calibration {
+    pub fn new(settings: &MotionPriorSettings) -> Self {
+        Self {
+            mean: Vector3::zeros(),
+            variances: Vector3::repeat(settings.odometry_calibration.powi(2)),
+            noise: CovarianceMatching::new(MEMORY).within(NOISE.0, NOISE.1),
+            settings: settings.clone(),
+        }
+    }
+
+    /// The segment with its translations corrected.
+    pub fn corrected(&self, told: &TrajectorySegment, motion: &ToldMotion) -> TrajectorySegment {
+        let start = told.start().translation.vector;
+        let [_, left, _] = motion.axes();
+        let turn = (Vector3::z() * self.mean.y - left * self.mean.z).cross_matrix();
+        let matrix = Matrix3::identity() * (1.0 + self.mean.x) + turn;
+        told.clone().changed(|_, pose| {
+            pose.translation.vector = start + matrix * (pose.translation.vector - start);
+        })
+    }
+
+    /// How far off a corrected motion is along each axis, metres (standard deviation).
+    pub fn sigma(&self, motion: &ToldMotion) -> f64 {
+        let by_calibration = self.variances.max() * motion.translation.norm_squared();
+        self.settings.least_translation_error + (self.noise_variance(motion) + by_calibration).sqrt()
+    }
+
+    fn noise_variance(&self, motion: &ToldMotion) -> f64 {
+        (self.settings.odometry_drift * motion.seconds).powi(2) * self.noise.variance_factor()
+    }
+
+    /// Takes how far the platform moved (metres in the local map) while odometry told this.
+    pub fn learn(&mut self, motion: &ToldMotion, moved: &Vector3, found: &MeasuredPlace) {
+        let most = self.settings.odometry_calibration.powi(2);
+        let walk = most * motion.seconds / FORGOTTEN;
+        self.variances = self.variances.map(|variance| (variance + walk).min(most));
+        // Odometry of a platform that stands says nothing of one that moves.
+        let (told, least) = (motion.translation.norm(), self.settings.least_translation_error);
+        if told.max(moved.norm()) < 2.0 * least {
+            return;
+        }
+        let noise = self.noise_variance(motion);
+        for (i, axis) in motion.axes().iter().enumerate() {
+            let variance = axis.dot(&(found.covariance * axis));
+            // Where points say less than the prior they agree with it, right or not.
+            if variance > found.of_prior {
+                continue;
+            }
+            let expected = told * (self.mean[i] + if i == 0 { 1.0 } else { 0.0 });
+            let left = axis.dot(moved) - expected;
+            let total = variance + least * least + noise + told * told * self.variances[i];
+            let squared = left * left / total;
+            self.noise.add_relative(squared);
+            if squared < OUTLIER {
+                let gain = told * self.variances[i] / total;
+                self.mean[i] += gain * left;
+                self.variances[i] -= gain * gain * total;
+            }
+        }
+    }
+}
+
+impl ToldMotion {
+    /// Unit vectors along the motion, to its left and up, in the local map.
+    fn axes(&self) -> [Vector3; 3] {
+        let along = self.translation.try_normalize(1e-9).unwrap_or_else(Vector3::x);
+        let left = Vector3::z().cross(&along).try_normalize(1e-9).unwrap_or_else(Vector3::y);
+        [along, left, along.cross(&left)]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::settings::OdometrySettings;
+    use portolan_geometry::Rigid3;
+
+    /// What odometry tells of sweeps of 0.1 s, each of which moved so far.
+    fn after(moves: impl Iterator<Item = (Vector3, Vector3)>, variance: f64) -> Calibration {
+        let mut calibration = Calibration::new(&OdometrySettings::default().motion_prior);
+        for (told, moved) in moves {
+            let (covariance, of_prior) = (Matrix3::identity() * variance, 1e-3);
+            let local_from_tracking = Rigid3::identity();
+            let found = MeasuredPlace { local_from_tracking, covariance, of_prior, told: Vec::new() };
+            calibration.learn(&ToldMotion { translation: told, seconds: 0.1 }, &moved, &found);
+        }
+        calibration
+    }
+
+    #[test]
+    fn wheels_of_another_size_and_motions_that_are_turned_are_corrected() {
+        let told = Vector3::new(1.0, 0.0, 0.0);
+        let moved = Vector3::new(0.92, 0.05, -0.03);
+        let calibration = after(std::iter::repeat_n((told, moved), 40), 1e-4);
+        assert!((calibration.mean - Vector3::new(-0.08, 0.05, -0.03)).norm() < 0.01, "{}", calibration.mean);
+        let (start, motion) = (Rigid3::identity(), ToldMotion { translation: told, seconds: 0.1 });
+        let (begin, end) =
+            (portolan_geometry::Time::from_ticks(0), portolan_geometry::Time::from_ticks(1_000_000));
+        let segment = TrajectorySegment::new(begin, end, |time| match time == end {
+            true => Rigid3::translation(1.0, 0.0, 0.0),
+            false => start,
+        });
+        let corrected = calibration.corrected(&segment, &motion).translation();
+        assert!((corrected - moved).norm() < 0.01, "{corrected}");
+        assert!(calibration.sigma(&motion) < 0.025, "{}", calibration.sigma(&motion));
+        // The way back.
+        let back = ToldMotion { translation: -told, seconds: 0.1 };
+        let returned = calibration.corrected(&segment.changed(|_, pose| *pose = pose.inverse()), &back);
+        assert!((returned.translation() - Vector3::new(-0.92, -0.05, -0.03)).norm() < 0.01);
+    }
+
+    #[test]
+    fn odometry_that_slips_counts_less_and_good_odometry_more() {
+        let told = |i: u32| Vector3::new(0.1, 0.0, 0.001 * f64::from(i % 2));
+        let noisy = after((0..200).map(|i| (told(i), told(i) * (1.0 + 0.8 * f64::from(i).sin()))), 1e-5);
+        let good = after((0..200).map(|i| (told(i), told(i))), 1e-5);
+        let motion = ToldMotion { translation: told(0), seconds: 0.1 };
+        let sigmas = [&noisy, &Calibration::new(&noisy.settings), &good].map(|of| of.sigma(&motion));
+        assert!(sigmas.is_sorted_by(|a, b| a > b), "{sigmas:?}");
+        assert!(sigmas[0] > 0.04 && sigmas[2] < 0.015, "{sigmas:?}");
+    }
+
+    #[test]
+    fn sweeps_that_tell_nothing_and_rest_teach_nothing() {
+        let told = Vector3::new(1.0, 0.0, 0.0);
+        let open = after(std::iter::repeat_n((told, 0.5 * told), 40), 1.0);
+        assert_eq!(open.mean, Vector3::zeros());
+        let resting = after(std::iter::repeat_n((Vector3::zeros(), Vector3::zeros()), 40), 1e-5);
+        assert_eq!(resting.noise.variance_factor(), 1.0);
+    }
+}

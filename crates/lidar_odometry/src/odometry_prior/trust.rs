@@ -1,0 +1,134 @@
+//! Whether odometry measures the motion or fails: wheels that slip, readings that stand still, other units or frames than said.
+//!
+//! Two models of the motion since the last sweep, as in "The interacting multiple model algorithm for systems with Markovian
+//! switching coefficients" (Blom, Bar-Shalom, IEEE Transactions on Automatic Control 33, 1988): odometry measured it, or it is
+//! what the platform did without any. Sweeps say which of the two predicts them, and the odds are carried on.
+
+use portolan_geometry::Rigid3;
+
+use super::MeasuredPlace;
+
+/// Logarithm of the odds that odometry works before anything is known, and the most of them either way, so that a failure that
+/// begins or ends is noticed within a few sweeps. Assumed, not measured.
+const AT_FIRST: f64 = 3.0;
+const MOST: f64 = 6.0;
+/// A prediction that is farther off than this tells no more, nats: other things go wrong, too.
+const OUTLIER: f64 = 8.0;
+/// Predictions that differ by fewer standard deviations are one.
+const DIFFERENT: f64 = 3.0;
+
+/// What is believed of odometry.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct OdometryTrust {
+    log_odds: f64,
+}
+
+impl Default for OdometryTrust {
+    fn default() -> Self {
+        Self { log_odds: AT_FIRST }
+    }
+}
+
+/// A prediction of where a sweep ends.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Predicted {
+    pub end: Rigid3,
+    /// How far off its place is along each axis, metres.
+    pub sigma: f64,
+}
+
+/// Where odometry says that a sweep ends, and where it ends without.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TwoMotions {
+    pub measured: Predicted,
+    pub otherwise: Predicted,
+    /// How far off both rotations are about each axis, radians; none where both are a gyroscope's, so that they tell nothing.
+    pub rotation_sigma: Option<f64>,
+}
+
+impl TwoMotions {
+    /// Whether it matters which of the two holds.
+    pub fn differ(&self) -> bool {
+        let (a, b) = (&self.measured, &self.otherwise);
+        let metres = (a.end.translation.vector - b.end.translation.vector).norm();
+        let radians = a.end.rotation.angle_to(&b.end.rotation);
+        metres > DIFFERENT * a.sigma.hypot(b.sigma)
+            || self.rotation_sigma.is_some_and(|sigma| radians > DIFFERENT * sigma.hypot(sigma))
+    }
+
+    /// Negative logarithm of how likely a prediction is where the sweep was found, up to a constant.
+    fn surprise(&self, predicted: &Predicted, found: &MeasuredPlace) -> f64 {
+        let place = &found.local_from_tracking;
+        let shift = place.translation.vector - predicted.end.translation.vector;
+        let turn = predicted.end.rotation.angle_to(&place.rotation);
+        let mut squares = self.rotation_sigma.map_or(0.0, |sigma| (turn / sigma).powi(2));
+        let mut logarithms = 0.0;
+        for (direction, variance) in &found.told {
+            let total = predicted.sigma.powi(2) + variance;
+            squares += direction.dot(&shift).powi(2) / total;
+            logarithms += 0.5 * total.ln();
+        }
+        (0.5 * squares).min(OUTLIER) + logarithms
+    }
+}
+
+impl OdometryTrust {
+    /// Whether odometry rather works.
+    pub fn works(&self) -> bool {
+        self.log_odds > 0.0
+    }
+
+    /// Takes where a sweep was found. Where the two predict the same nothing is learned.
+    pub fn learn(&mut self, motions: &TwoMotions, found: &MeasuredPlace) {
+        if !motions.differ() {
+            return;
+        }
+        let odds = motions.surprise(&motions.otherwise, found) - motions.surprise(&motions.measured, found);
+        self.log_odds = (self.log_odds + odds).clamp(-MOST, MOST);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use portolan_geometry::Vector3;
+    use portolan_geometry::nalgebra::Matrix3;
+
+    use super::*;
+
+    /// What is believed after so many sweeps that moved so far, where odometry said and without it was expected.
+    fn works_after(sweeps: usize, moved: f64, measured: f64, otherwise: f64) -> bool {
+        works_where(sweeps, moved, measured, otherwise, &[Vector3::x(), Vector3::y(), Vector3::z()])
+    }
+
+    /// Sweeps tell the place along these directions.
+    fn works_where(sweeps: usize, moved: f64, measured: f64, otherwise: f64, told: &[Vector3]) -> bool {
+        let at = |x: f64| Rigid3::translation(x, 0.0, 0.0);
+        let predicted = |x: f64| Predicted { end: at(x), sigma: 0.03 };
+        let motions = TwoMotions {
+            measured: predicted(measured),
+            otherwise: predicted(otherwise),
+            rotation_sigma: None,
+        };
+        let told = told.iter().map(|direction| (*direction, 1e-4)).collect();
+        let (covariance, of_prior) = (Matrix3::identity() * 1e-4, 1e-3);
+        let found = MeasuredPlace { local_from_tracking: at(moved), covariance, of_prior, told };
+        let mut trust = OdometryTrust::default();
+        (0..sweeps).for_each(|_| trust.learn(&motions, &found));
+        trust.works()
+    }
+
+    #[test]
+    fn wheels_that_stand_while_sweeps_move_are_not_believed() {
+        assert!(!works_after(1, 1.2, 0.0, 1.19), "a car");
+        assert!(!works_after(3, 0.15, 0.0, 0.14), "somebody who walks");
+        assert!(!works_after(1, 1.2, 120.0, 1.21), "in other units");
+    }
+
+    #[test]
+    fn odometry_is_believed_where_it_predicts_better_or_nothing_differs() {
+        assert!(works_after(100, 1.2, 1.19, 1.21));
+        assert!(works_after(100, 0.2, 0.21, 0.5), "a push, which constant velocity does not know");
+        let across = [Vector3::y(), Vector3::z()];
+        assert!(works_where(100, 1.2, 0.0, 1.19, &across), "along a tunnel, which tells nothing of it");
+    }
+}
