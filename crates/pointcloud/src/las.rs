@@ -44,6 +44,9 @@ struct LasReader {
 
 pub(crate) use ahead::open;
 
+/// Points that are read at once take no more bytes than this.
+const BATCH_BYTES: u64 = 1 << 25;
+
 /// Opens a LAS or LAZ file, here and now.
 fn open_here(path: &Path) -> Result<LasReader, CloudError> {
     let file = portolan_input::regular_file(path).map_err(|e| CloudError::read(path, e))?;
@@ -73,8 +76,14 @@ fn open_here(path: &Path) -> Result<LasReader, CloudError> {
     let bounds = stated_bounds(header);
     let attributes = Attributes { intensity: true, time: format.has_gps_time, color: format.has_color };
     let data = PointDataBuilder::new().for_header(header).build();
-    let (path, left, at_once) = (path.to_owned(), total, BATCH_POINTS as u64);
+    let (path, left, at_once) = (path.to_owned(), total, points_at_once(u64::from(format.len())));
     Ok(LasReader { path, reader, data, attributes, total, left, at_once, bounds, issues })
+}
+
+/// How many points of so many bytes are read at once: extra bytes make one as long as 64 kB, and memory is taken for all of them,
+/// whether they are in the file or not.
+fn points_at_once(bytes: u64) -> u64 {
+    (BATCH_BYTES / bytes.max(1)).clamp(1, BATCH_POINTS as u64)
 }
 
 /// What a call of the library gives; its error as text, none where it panicked: the decompressor checks
@@ -298,5 +307,19 @@ impl CloudWriter for LasWriter {
         self.check()?;
         self.output.finish()?;
         Ok(self.written)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn long_points_are_read_few_at_a_time() {
+        assert_eq!(points_at_once(34), BATCH_POINTS as u64);
+        for bytes in [0, 1, 1000, 65_313, u64::from(u16::MAX)] {
+            let points = points_at_once(bytes);
+            assert!(points > 0 && points * bytes <= BATCH_BYTES, "{bytes}: {points}");
+        }
     }
 }
