@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 mod planar_slices;
+mod witnesses;
 
 use crate::common;
 
@@ -11,8 +12,8 @@ use std::path::Path;
 
 use common::{portolan, portolan_with_code, real, text, trajectory_errors};
 use portolan_evaluation::{Alignment, Association, TimedPose, Trajectory, absolute_errors, read_tum};
-use portolan_geometry::{Duration, Rigid2, Rigid3, Time, TransformBuffer, Vector3};
-use portolan_recording::{Header, Message, Odometry, Pose, RecordedMessage};
+use portolan_geometry::{Rigid2, Rigid3, Vector3};
+use portolan_recording::{Message, RecordedMessage};
 use portolan_testing::is_fast;
 
 /// Maps into a folder. Reading may lose data: clouds or scans that are damaged or out of order in the recording.
@@ -169,71 +170,6 @@ fn error_of(truth: &Trajectory, estimate: &Trajectory) -> f64 {
     let errors = absolute_errors(truth, estimate, Association::default(), Alignment::Se3).unwrap();
     assert!(errors.count >= 20, "{}", errors.count);
     errors.translation.rmse
-}
-
-/// Odometry in the frame of a lidar that turns ten times a second, twice a turn.
-fn odometry_of(
-    scan: &RecordedMessage,
-    odom_from_lidar: &impl Fn(Time) -> Option<Rigid3>,
-) -> Vec<RecordedMessage> {
-    let header = scan.message.header().unwrap();
-    let at = |seconds: f64| {
-        let stamp = header.stamp + Duration::from_seconds(seconds);
-        let pose = odom_from_lidar(stamp)?;
-        let [x, y, z, w] = pose.rotation.coords.into();
-        let odometry = Odometry {
-            header: Header { stamp, frame_id: "odom".into() },
-            child_frame_id: header.frame_id.clone(),
-            pose: Pose { position: pose.translation.vector.into(), orientation_xyzw: [x, y, z, w] },
-            pose_covariance: vec![0.0; 36],
-            linear_velocity: [0.0; 3],
-            angular_velocity: [0.0; 3],
-            twist_covariance: vec![0.0; 36],
-        };
-        let message = Message::Odometry(odometry);
-        Some(RecordedMessage { topic: "/odom".into(), log_time: scan.log_time, message })
-    };
-    [0.0, 0.05].into_iter().filter_map(at).collect()
-}
-
-/// Odometry that says that it stands.
-fn odometry_that_stands(scan: &RecordedMessage) -> Vec<RecordedMessage> {
-    odometry_of(scan, &|_| Some(Rigid3::identity()))
-}
-
-/// Error of a drive whose odometry tells this in place of the truth.
-fn error_with_odometry(told: impl Fn(Rigid3) -> Rigid3) -> Option<f64> {
-    let recording = real("lidar3d/kitti_0001.bag")?;
-    let truth = read(&real("lidar3d/kitti_0001.truth.tum")?);
-    let truth_from_lidar = Rigid3::translation(0.81, -0.32, 0.80);
-    let lidar = |pose: &TimedPose| (pose.time, pose.map_from_tracking * truth_from_lidar);
-    let poses: TransformBuffer = truth.poses().iter().map(lidar).collect();
-    let folder = tempfile::tempdir().unwrap();
-    let with_wheels = folder.path().join("wheels.bag");
-    rewritten(&recording, &with_wheels, |_, sweep| {
-        let odometry = odometry_of(&sweep, &|time| Some(told(poses.lookup(time)?)));
-        odometry.into_iter().chain([sweep]).collect()
-    });
-    map(&text(&with_wheels), folder.path(), &[]);
-    let of_lidar = |(time, pose): (Time, Rigid3)| TimedPose { time, map_from_tracking: pose };
-    let truth = Trajectory::new(truth.poses().iter().map(lidar).map(of_lidar)).0;
-    Some(error_of(&truth, &read(&text(&folder.path().join("trajectory.tum")))))
-}
-
-#[test]
-fn in_space_wheels_that_are_never_read_are_not_believed() {
-    let Some(error) = error_with_odometry(|_| Rigid3::identity()) else { return };
-    assert!(error <= 1.3 * 0.036, "{error} m");
-}
-
-#[test]
-fn in_space_wheels_of_another_size_are_corrected() {
-    if is_fast() {
-        return;
-    }
-    let smaller = |pose: Rigid3| Rigid3::from_parts((0.9 * pose.translation.vector).into(), pose.rotation);
-    let Some(error) = error_with_odometry(smaller) else { return };
-    assert!(error <= 1.3 * 0.040, "{error} m");
 }
 
 #[test]

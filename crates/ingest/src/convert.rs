@@ -131,7 +131,9 @@ fn horizontal_sigma(message: &NavSatFix) -> Option<f64> {
 impl LocalFixes {
     /// The pose of a fix; a message without a fix has none. `None` for a place that is not on Earth.
     pub fn convert(&mut self, time: Time, message: &NavSatFix) -> Option<FixedFramePoseData> {
-        if message.status < 0 {
+        // Receivers without a fix say so, or that they are where the equator crosses the first meridian.
+        let is_nowhere = message.latitude_degrees == 0.0 && message.longitude_degrees == 0.0;
+        if message.status < 0 || is_nowhere {
             return Some(FixedFramePoseData { time, fixed_from_tracking: None });
         }
         let place = GeodeticPosition {

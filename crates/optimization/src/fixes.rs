@@ -1,13 +1,24 @@
-//! How much satellite fixes count: by how far they scatter about the poses of nodes.
+//! Poses in a fixed frame, such as satellite fixes: where that frame lies in the map, and how much they count.
+//!
+//! A fix says nothing of headings, so that the frame of fixes is laid over the way of the nodes: a solver that begins with another
+//! heading does not find it. It is found robustly, from pairs of nodes (as RANSAC, Fischler and Bolles 1981, with the median of
+//! what is left as the score), and refined by weighted least squares in closed form. Fixes count by how far they are off:
+//! what is off anew each time follows from differences of fixes that follow each other, what changes slowly, such as reflected
+//! signals, from how far apart fixes are that nodes have measured to be so far apart. Neither needs a map without drift.
+
+use std::collections::BTreeMap;
 
 use portolan_config::OptimizationProblemOptions;
-use portolan_geometry::Vector3;
-use portolan_numeric::quantile;
+use portolan_geometry::nalgebra::Vector2;
+use portolan_geometry::{Rigid3, Time, Vector3, rotation_from_roll_pitch_yaw};
+use portolan_motion::fixed_frame_at;
+use portolan_numeric::{SplitMix64, median, quantile};
+use portolan_sensor::FixedFramePoseData;
 use portolan_solver::Loss;
 
 use super::data::{OptimizationData, OptimizationNode};
-use super::graph_problem::follows;
-use crate::{NodeId, TrajectoryId, of_trajectory};
+use super::graph_problem::Weights;
+use crate::{NodeId, OpenDirections, TrajectoryId, of_trajectory};
 
 /// Fewer fixes have no scatter.
 const MIN_FIXES: usize = 20;
@@ -16,18 +27,103 @@ const MEDIAN_DEVIATION: f64 = 0.6745;
 /// Beyond so many standard deviations, fixes pull with no more than a constant force (Huber's loss): reflected signals
 /// throw them tens of metres away, for seconds.
 const OUTLIER: f64 = 3.0;
+/// So many pairs of nodes are tried, with so many fixes as their judges.
+const TRIALS: usize = 100;
+const JUDGES: usize = 400;
+/// How far lengths of the map may be off, as a share; fixes that contradict more than half of the lengths by more than the second
+/// are not those of this way.
+const MAP_ERROR: f64 = 0.02;
+const CONTRADICTION: f64 = 0.2;
+/// Slow errors are told from noise by so many times its variance.
+const CLEARLY_MORE: f64 = 1.5;
+/// The heading of the frame must be known so well, radians.
+const HEADING: f64 = 0.1;
 
-/// The weight of a translation to a fix, 1/m: as the options say, or less if fixes scatter more than that.
-pub(super) fn translation_weight(
+/// Fixes so many times as far apart as usual, or so many seconds, have a gap between them, in which they tell nothing.
+const GAP: f64 = 3.0;
+const LEAST_GAP: f64 = 2.0;
+
+/// The fixed frame of a trajectory.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct FixedFrame {
+    pub map_from_fixed: Rigid3,
+    pub weights: Weights,
+    /// What was measured at each node.
+    pub measured: Vec<(NodeId, Rigid3)>,
+}
+
+/// A node and the fix at its time.
+#[derive(Clone, Copy, Debug)]
+struct Pair {
+    place: Vector3,
+    fix: Vector3,
+    /// Whether nothing measured the way to the node: the map may be wrong there, and judges no fix.
+    is_guess: bool,
+}
+
+impl FixedFrame {
+    /// None where nothing is known of it: there are no poses in it, or they cannot be those of this way.
+    pub fn of(
+        data: &OptimizationData,
+        id: TrajectoryId,
+        options: &OptimizationProblemOptions,
+    ) -> Option<Self> {
+        let known = data.fixed_frame_origins.get(&id).copied().flatten();
+        let usual = options.fixed_frame_pose_translation_weight;
+        let fixed = &data.sensors.get(&id)?.fixed_frame;
+        let at_node = |(id, node): (NodeId, &OptimizationNode)| Some((id, fixed_frame_at(fixed, node.time)?));
+        let measured: Vec<(NodeId, Rigid3)> = of_trajectory(&data.nodes, id).filter_map(at_node).collect();
+        let (first, in_fixed) = measured.first()?;
+        // A satellite fix says nothing of rotations. Cartographer takes it for heading east.
+        let are_fixes = measured.iter().all(|(_, in_fixed)| in_fixed.rotation.angle() < 1e-9);
+        if !data.doubts_sensors || !are_fixes {
+            let of_first = || Some(data.nodes.get(first)?.map_from_node * in_fixed.inverse());
+            let map_from_fixed = known.or_else(of_first)?;
+            let weights = (usual, options.fixed_frame_pose_rotation_weight);
+            return Some(Self { map_from_fixed, weights, measured });
+        }
+        let measured = without_gaps(measured, data, fixed);
+        let pair = |(id, fix): &(NodeId, Rigid3)| {
+            let place = data.nodes.get(id)?.map_from_node.translation.vector;
+            let is_guess = |open: &OpenDirections| !open.translations.is_empty() && !open.way_is_measured;
+            let is_guess = data.open.get(id).is_some_and(is_guess);
+            Some(Pair { place, fix: fix.translation.vector, is_guess })
+        };
+        let pairs: Vec<Pair> = measured.iter().filter_map(pair).collect();
+        let map_from_fixed = aligned(&pairs)?;
+        let sigma = error_of(&pairs, &map_from_fixed)?;
+        Some(Self { map_from_fixed, weights: (usual.min(1.0 / sigma), 0.0), measured })
+    }
+}
+
+/// How many nodes have satellite fixes that are not used, because they tell too little of the way or are those of another one.
+pub fn unused_fixes(
     data: &OptimizationData,
     id: TrajectoryId,
     options: &OptimizationProblemOptions,
-) -> f64 {
-    let usual = options.fixed_frame_pose_translation_weight;
-    match scatter(data, id).filter(|_| data.doubts_sensors) {
-        Some(sigma) if sigma * usual > 1.0 => 1.0 / sigma,
-        _ => usual,
-    }
+) -> usize {
+    let Some(sensors) = data.sensors.get(&id).filter(|_| FixedFrame::of(data, id, options).is_none()) else {
+        return 0;
+    };
+    let has_fix = |node: &OptimizationNode| fixed_frame_at(&sensors.fixed_frame, node.time).is_some();
+    of_trajectory(&data.nodes, id).filter(|(_, node)| has_fix(node)).count()
+}
+
+/// Without what was interpolated in gaps.
+fn without_gaps(
+    mut measured: Vec<(NodeId, Rigid3)>,
+    data: &OptimizationData,
+    fixed: &BTreeMap<Time, FixedFramePoseData>,
+) -> Vec<(NodeId, Rigid3)> {
+    let intervals = fixed.keys().zip(fixed.keys().skip(1)).map(|(a, b)| b.seconds_since(*a));
+    let usual = median(&mut intervals.collect::<Vec<_>>()).unwrap_or(0.0);
+    let longest = LEAST_GAP.max(GAP * usual);
+    measured.retain(|(id, _)| {
+        let Some(time) = data.nodes.get(id).map(|node| node.time) else { return false };
+        let (before, after) = (fixed.range(..=time).next_back(), fixed.range(time..).next());
+        before.zip(after).is_some_and(|((a, _), (b, _))| b.seconds_since(*a) <= longest)
+    });
+    measured
 }
 
 /// The loss of ties to the fixed frame.
@@ -40,82 +136,143 @@ pub(super) fn loss(data: &OptimizationData, options: &OptimizationProblemOptions
     if data.doubts_sensors { Loss::Huber(OUTLIER) } else { Loss::None }
 }
 
-/// What fixes are off by anew each time: the standard deviation along each axis, metres. From differences of fixes that
-/// follow each other, in which slow errors cancel, whether of the fixes or of the map; none before there is a map.
-fn scatter(data: &OptimizationData, id: TrajectoryId) -> Option<f64> {
-    let map_from_fixed = data.fixed_frame_origins.get(&id).copied().flatten()?;
-    let fixes = &data.sensors.get(&id)?.fixed_frame;
-    let nodes: Vec<(NodeId, &OptimizationNode)> = of_trajectory(&data.nodes, id).collect();
-    let between = nodes.windows(2).filter_map(|pair| {
-        let [(id_a, a), (id_b, b)] = pair else { return None };
-        if !follows(id_a, id_b) {
-            return None;
-        }
-        let seconds = b.time.seconds_since(a.time);
-        (seconds > 0.0).then_some((*a, *b, seconds))
-    });
-    let errors: Vec<Vector3> = between
-        .flat_map(|(a, b, seconds)| {
-            let inside = fixes.range(a.time..b.time).filter_map(move |(time, fix)| {
-                Some((time.seconds_since(a.time) / seconds, fix.fixed_from_tracking?))
-            });
-            inside.map(move |(share, fix)| {
-                let pose = a.map_from_node.lerp_slerp(&b.map_from_node, share);
-                (map_from_fixed * fix).translation.vector - pose.translation.vector
-            })
-        })
-        .collect();
-    if errors.len() < MIN_FIXES {
+/// Where the frame of fixes lies in the map, by its heading and place; none if fixes are too few.
+fn aligned(pairs: &[Pair]) -> Option<Rigid3> {
+    if pairs.len() < MIN_FIXES {
         return None;
     }
-    let steps = errors.iter().zip(errors.iter().skip(1)).map(|(a, b)| b - a);
-    let mut steps: Vec<f64> = steps.flat_map(|step| [step.x.abs(), step.y.abs(), step.z.abs()]).collect();
+    let judges: Vec<Pair> = pairs.iter().step_by(pairs.len().div_ceil(JUDGES)).copied().collect();
+    let mut random = SplitMix64::new(1);
+    let mut any = || judges.get((random.uniform() * judges.len() as f64) as usize);
+    let mut best: Option<(f64, Rigid3)> = None;
+    let far = 0.5 * extent(&judges);
+    for _ in 0..TRIALS {
+        let (Some(a), Some(b)) = (any(), any()) else { continue };
+        let (of_map, of_fixes) = ((b.place - a.place).xy(), (b.fix - a.fix).xy());
+        if of_map.norm() < far {
+            continue;
+        }
+        let heading = of_map.y.atan2(of_map.x) - of_fixes.y.atan2(of_fixes.x);
+        let pose = placed(&judges, heading)?;
+        let score = median(&mut judges.iter().map(|pair| left(pair, &pose).xy().norm()).collect::<Vec<_>>())?;
+        if best.is_none_or(|(least, _)| score < least) {
+            best = Some((score, pose));
+        }
+    }
+    let (scale, mut pose) = best?;
+    for _ in 0..10 {
+        pose = refined(pairs, &pose, OUTLIER * scale.max(1e-3))?;
+    }
+    Some(pose)
+}
+
+/// How far nodes are from the middle of all, metres (median).
+fn extent(pairs: &[Pair]) -> f64 {
+    let middle = pairs.iter().map(|pair| pair.place.xy()).sum::<Vector2<f64>>() / pairs.len() as f64;
+    median(&mut pairs.iter().map(|pair| (pair.place.xy() - middle).norm()).collect::<Vec<_>>()).unwrap_or(0.0)
+}
+
+/// The frame with this heading, put where most fixes agree.
+fn placed(pairs: &[Pair], heading: f64) -> Option<Rigid3> {
+    let rotation = rotation_from_roll_pitch_yaw(0.0, 0.0, heading);
+    let shifts: Vec<Vector3> = pairs.iter().map(|pair| pair.place - rotation * pair.fix).collect();
+    let middle = |of: fn(&Vector3) -> f64| median(&mut shifts.iter().map(of).collect::<Vec<_>>());
+    let place = Vector3::new(middle(|shift| shift.x)?, middle(|shift| shift.y)?, middle(|shift| shift.z)?);
+    Some(Rigid3::from_parts(place.into(), rotation))
+}
+
+fn left(pair: &Pair, map_from_fixed: &Rigid3) -> Vector3 {
+    pair.place - (map_from_fixed.rotation * pair.fix + map_from_fixed.translation.vector)
+}
+
+/// Least squares in closed form, each pair weighted by what is left of it (Geman and McClure).
+fn refined(pairs: &[Pair], map_from_fixed: &Rigid3, scale: f64) -> Option<Rigid3> {
+    let weight = |pair: &Pair| {
+        let squared = left(pair, map_from_fixed).xy().norm_squared() / (scale * scale);
+        (1.0 + squared).powi(-2)
+    };
+    let weights: Vec<f64> = pairs.iter().map(weight).collect();
+    let total: f64 = weights.iter().sum();
+    let mean = |of: fn(&Pair) -> Vector3| {
+        pairs.iter().zip(&weights).map(|(pair, weight)| of(pair) * *weight).sum::<Vector3>() / total
+    };
+    let (place, fix) = (mean(|pair| pair.place), mean(|pair| pair.fix));
+    let (mut cosine, mut sine) = (0.0, 0.0);
+    for (pair, weight) in pairs.iter().zip(&weights) {
+        let (a, b) = ((pair.fix - fix).xy(), (pair.place - place).xy());
+        cosine += weight * a.dot(&b);
+        sine += weight * a.perp(&b);
+    }
+    let rotation = rotation_from_roll_pitch_yaw(0.0, 0.0, sine.atan2(cosine));
+    let pose = Rigid3::from_parts((place - rotation * fix).into(), rotation);
+    pose.translation.vector.iter().all(|v| v.is_finite()).then_some(pose)
+}
+
+/// What a fix is off by along each axis, metres (standard deviation), so that all of them together count as what they tell: slow errors
+/// are shared by as many as follow each other meanwhile. None where fixes tell no heading, or are not those of this way.
+fn error_of(pairs: &[Pair], map_from_fixed: &Rigid3) -> Option<f64> {
+    let noise = scatter(pairs, map_from_fixed, 1)?.max(1e-3);
+    let mut variance = noise * noise;
+    let mut lag = 2;
+    while 4 * lag <= pairs.len() {
+        let Some(lengths) = Lengths::of(pairs, lag) else { break };
+        if lengths.contradict(noise) {
+            return None;
+        }
+        // The map turns as it drifts, which is no error of fixes; lengths are all too long where they are noise.
+        let at_lag = lengths.variance.min(scatter(pairs, map_from_fixed, lag)?.powi(2));
+        let slow = at_lag - CLEARLY_MORE * noise * noise;
+        variance = variance.max(noise * noise + slow.max(0.0) * lag as f64);
+        lag *= 2;
+    }
+    let (sigma, count) = (variance.sqrt(), pairs.len() as f64);
+    (sigma < HEADING * extent(pairs) * count.sqrt()).then_some(sigma)
+}
+
+/// How much what fixes are off by changes within so many nodes, as the standard deviation along each axis of errors that are made anew
+/// meanwhile, metres. Slow errors cancel, whether of the fixes or of the map.
+fn scatter(pairs: &[Pair], map_from_fixed: &Rigid3, lag: usize) -> Option<f64> {
+    let errors: Vec<Vector3> = pairs.iter().map(|pair| left(pair, map_from_fixed)).collect();
+    let steps = errors.iter().zip(errors.iter().skip(lag)).map(|(a, b)| b - a);
+    let mut steps: Vec<f64> = steps.flat_map(|step| [step.x.abs(), step.y.abs()]).collect();
     Some(quantile(&mut steps, 0.5)? / (MEDIAN_DEVIATION * std::f64::consts::SQRT_2))
 }
 
-#[cfg(test)]
-mod tests {
-    use portolan_geometry::{Quaternion, Rigid3, Time};
-    use portolan_numeric::SplitMix64;
-    use portolan_sensor::FixedFramePoseData;
+/// How far apart fixes are that are so many nodes apart, against how far those are.
+struct Lengths {
+    /// Of the nodes, metres (median).
+    length: f64,
+    /// What fixes are off by along each axis, m², beyond what the map may be.
+    variance: f64,
+    /// How far lengths differ, metres (median).
+    difference: f64,
+}
 
-    use super::*;
-
-    const ID: TrajectoryId = TrajectoryId(0);
-
-    /// A straight drive whose fixes are off by this; the map has drifted by a metre on the way.
-    fn drive(error: impl Fn(u32) -> f64) -> OptimizationData {
-        let mut data = OptimizationData { doubts_sensors: true, ..Default::default() };
-        data.fixed_frame_origins.insert(ID, Some(Rigid3::identity()));
-        for k in 0..200 {
-            let (time, x) = (Time::from_unix_seconds(1e9 + f64::from(k)), 2.0 * f64::from(k));
-            let pose = Rigid3::translation(x, 0.005 * f64::from(k), 0.0);
-            let node = OptimizationNode {
-                time,
-                local_from_node: pose,
-                map_from_node: pose,
-                gravity_alignment: Quaternion::identity(),
-            };
-            data.nodes.insert(NodeId::new(ID, k), node);
-            let fixed_from_tracking = Some(Rigid3::translation(x + error(k), error(k + 7), error(k + 13)));
-            data.sensors_mut(ID).fixed_frame.insert(time, FixedFramePoseData { time, fixed_from_tracking });
+impl Lengths {
+    /// None where the map tells too few.
+    fn of(pairs: &[Pair], lag: usize) -> Option<Self> {
+        let is_known = |window: &&[Pair]| !window.iter().any(|pair| pair.is_guess);
+        let ends = |window: &'_ [Pair]| Some((*window.first()?, *window.last()?));
+        let two: Vec<(Pair, Pair)> = pairs.windows(lag + 1).filter(is_known).filter_map(ends).collect();
+        if two.len() < MIN_FIXES {
+            return None;
         }
-        data
+        let length = |a: &Vector3, b: &Vector3| (b - a).xy().norm();
+        let mut lengths: Vec<f64> = two.iter().map(|(a, b)| length(&a.place, &b.place)).collect();
+        let mut differences: Vec<f64> =
+            two.iter().map(|(a, b)| (length(&a.fix, &b.fix) - length(&a.place, &b.place)).abs()).collect();
+        let (length, difference) = (median(&mut lengths)?, median(&mut differences)?);
+        let sigma = difference / (MEDIAN_DEVIATION * std::f64::consts::SQRT_2);
+        let variance = (sigma * sigma - (MAP_ERROR * length).powi(2)).max(0.0);
+        Some(Self { length, variance, difference })
     }
 
-    #[test]
-    fn fixes_count_as_they_scatter_and_neither_drift_nor_jumps_matter() {
-        let options =
-            OptimizationProblemOptions { fixed_frame_pose_translation_weight: 10.0, ..Default::default() };
-        let noise = |k: u32| 2.0 * SplitMix64::new(u64::from(k)).uniform() - 1.0;
-        let jump = |k: u32| if (50..60).contains(&k) { 30.0 } else { 0.0 };
-        let weight = |data: &OptimizationData| translation_weight(data, ID, &options);
-        let sigma = 1.0 / weight(&drive(|k| 4.0 * noise(k) + jump(k)));
-        // Differences of numbers that are uniform from -4 to 4 have a median of 2.34 m.
-        assert!((2.0..2.7).contains(&sigma), "{sigma}");
-        assert_eq!(weight(&drive(|k| 0.05 * noise(k) + jump(k))), 10.0);
-        let believing = OptimizationData { doubts_sensors: false, ..drive(|k| 4.0 * noise(k)) };
-        assert_eq!(weight(&believing), 10.0);
-        assert_eq!(weight(&OptimizationData { doubts_sensors: true, ..Default::default() }), 10.0);
+    /// Whether most fixes cannot be those of this way.
+    fn contradict(&self, noise: f64) -> bool {
+        let by_noise = OUTLIER * std::f64::consts::SQRT_2 * noise;
+        self.length > by_noise && self.difference > by_noise + CONTRADICTION * self.length
     }
 }
+
+#[cfg(test)]
+mod tests;

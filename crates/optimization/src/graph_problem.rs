@@ -6,16 +6,12 @@ use std::marker::PhantomData;
 use portolan_config::OptimizationProblemOptions;
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Rigid3, Time, interpolate};
-use portolan_motion::{fixed_frame_at, odometry_at};
+use portolan_motion::odometry_at;
 use portolan_solver::{Factor, Loss, Problem, SolverOptions, VariableId};
 
 use super::data::{LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary};
-use super::fixes;
+use super::fixes::{self, FixedFrame};
 use crate::{Constraint, NodeId, SubmapId, TrajectoryId, of_trajectory};
-
-/// So little of the weight of rotations counts for poses that have none: enough for a heading to be found where
-/// nothing moved.
-const HEADING_OF_A_FIX: f64 = 1e-3;
 
 /// What a pose may do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,7 +73,9 @@ pub(super) struct GraphProblem<'a, S> {
     nodes: BTreeMap<NodeId, VariableId>,
     submaps: BTreeMap<SubmapId, VariableId>,
     landmarks: BTreeMap<String, VariableId>,
-    fixed_frames: BTreeMap<TrajectoryId, VariableId>,
+    /// Those that are believed, and their variables.
+    fixed_frames: BTreeMap<TrajectoryId, FixedFrame>,
+    origins: BTreeMap<TrajectoryId, VariableId>,
     /// Trajectories of which more is known than what local SLAM found.
     held: BTreeSet<TrajectoryId>,
     options: &'a OptimizationProblemOptions,
@@ -102,9 +100,13 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
             let role = frozen_or(id.trajectory_id, Role::Free);
             nodes.insert(*id, S::add_pose(&mut problem, &node.map_from_node, role, options));
         }
-        let (landmarks, fixed_frames) = (BTreeMap::new(), BTreeMap::new());
-        let held = held_trajectories(data);
-        Self { problem, nodes, submaps, landmarks, fixed_frames, held, options, space: PhantomData }
+        let fixed_frame = |id: &TrajectoryId| Some((*id, FixedFrame::of(data, *id, options)?));
+        let fixed_frames: BTreeMap<_, _> = data.sensors.keys().filter_map(fixed_frame).collect();
+        let sightings = data.landmarks.values().flat_map(|landmark| &landmark.sightings);
+        let seen = sightings.map(|sighting| sighting.trajectory_id);
+        let held = fixed_frames.keys().copied().chain(seen).collect();
+        let (landmarks, origins) = (BTreeMap::new(), BTreeMap::new());
+        Self { problem, nodes, submaps, landmarks, fixed_frames, origins, held, options, space: PhantomData }
     }
 
     /// Whether anything but local SLAM tells where the nodes of a trajectory are: satellites, landmarks, or other
@@ -222,31 +224,36 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
         }
         let measured = a.local_from_node.inverse() * b.local_from_node;
         let weights = (o.local_slam_pose_translation_weight, o.local_slam_pose_rotation_weight);
+        if self.is_held(id_b.trajectory_id)
+            && let Some(open) = data.open.get(&id_b)
+        {
+            let root = open.weaken(weights, &measured, b.time.seconds_since(a.time));
+            if S::add_open_between(&mut self.problem, variables, &measured, &root) {
+                return;
+            }
+        }
         self.add_between(variables, &measured, weights, Loss::None);
     }
 
     /// Ties nodes to the fixed frame of their trajectory.
     pub fn add_fixed_frames(&mut self, data: &OptimizationData) {
-        let o = self.options;
-        let loss = fixes::loss(data, o);
-        for (trajectory_id, sensors) in data.sensors.iter().filter(|(id, _)| !data.frozen.contains(id)) {
-            let translation = fixes::translation_weight(data, *trajectory_id, o);
-            for (node_id, node) in of_trajectory(&data.nodes, *trajectory_id) {
-                let Some(measured) = fixed_frame_at(&sensors.fixed_frame, node.time) else { continue };
-                let Some(variable) = self.node(node_id) else { continue };
-                let origin = *self.fixed_frames.entry(*trajectory_id).or_insert_with(|| {
-                    let known = data.fixed_frame_origins.get(trajectory_id).copied().flatten();
-                    let origin = known.unwrap_or_else(|| node.map_from_node * measured.inverse());
-                    S::add_pose(&mut self.problem, &origin, Role::FixedFrame, o)
-                });
-                // A satellite fix says nothing of rotations. Cartographer takes it for heading east.
-                let is_fix = data.doubts_sensors && measured.rotation.angle() < 1e-9;
-                let rotation =
-                    o.fixed_frame_pose_rotation_weight * if is_fix { HEADING_OF_A_FIX } else { 1.0 };
-                let weights = (translation, rotation);
-                self.add_between([origin, variable], &measured, weights, loss);
+        let loss = fixes::loss(data, self.options);
+        for (id, FixedFrame { map_from_fixed, weights, measured }) in self.fixed_frames.clone() {
+            if data.frozen.contains(&id) {
+                continue;
+            }
+            let origin = S::add_pose(&mut self.problem, &map_from_fixed, Role::FixedFrame, self.options);
+            self.origins.insert(id, origin);
+            for (node_id, in_fixed) in &measured {
+                let Some(variable) = self.node(*node_id) else { continue };
+                self.add_between([origin, variable], in_fixed, weights, loss);
             }
         }
+    }
+
+    /// The fixed frame of a trajectory, if it is believed to be known.
+    pub fn fixed_frame(&self, id: TrajectoryId) -> Option<&FixedFrame> {
+        self.fixed_frames.get(&id)
     }
 
     /// Takes over what was found.
@@ -268,7 +275,15 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
                 landmark.map_from_landmark = Some(self.problem.se3(*variable));
             }
         }
-        for (id, variable) in &self.fixed_frames {
+        // Where fixes are not believed any more, the map does not lie where it was thought to.
+        let is_used = |id: &TrajectoryId| {
+            self.fixed_frames.contains_key(id) || !data.doubts_sensors || data.frozen.contains(id)
+        };
+        let unused: Vec<TrajectoryId> = data.sensors.keys().filter(|id| !is_used(id)).copied().collect();
+        for id in unused {
+            data.fixed_frame_origins.remove(&id);
+        }
+        for (id, variable) in &self.origins {
             data.fixed_frame_origins.insert(*id, Some(S::pose(&self.problem, *variable)));
         }
     }
@@ -301,14 +316,6 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
             }
         }
     }
-}
-
-/// Trajectories with satellite fixes or landmarks.
-fn held_trajectories(data: &OptimizationData) -> BTreeSet<TrajectoryId> {
-    let by_fixes =
-        data.sensors.iter().filter(|(_, sensors)| !sensors.fixed_frame.is_empty()).map(|(id, _)| *id);
-    let sightings = data.landmarks.values().flat_map(|landmark| &landmark.sightings);
-    by_fixes.chain(sightings.map(|sighting| sighting.trajectory_id)).collect()
 }
 
 /// Whether the second node comes right after the first.

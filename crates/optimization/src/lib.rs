@@ -19,6 +19,7 @@ pub use data::{
     FixedFrameOrigin, ImuState, LandmarkNode, LandmarkSighting, OptimizationData, OptimizationNode,
     OptimizationSummary, TrajectorySensors,
 };
+pub use fixes::unused_fixes;
 pub use id::{IndexedId, NodeId, SubmapId, TrajectoryId, of_trajectory};
 pub use open_directions::OpenDirections;
 pub use remembered::remembered_optimum;

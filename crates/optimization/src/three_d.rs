@@ -11,7 +11,6 @@ use portolan_solver::{Loss, Problem, RotationFreedom, TranslationFreedom, Variab
 use super::data::{
     ImuState, LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary, TrajectorySensors,
 };
-use super::fixes::translation_weight;
 use super::graph_problem::{GraphProblem, ProblemSpace, Role, SightingBetweenNodes, Weights, follows};
 use super::imu_bias::ImuBias;
 use crate::{Constraint, NodeId, TrajectoryId, of_trajectory};
@@ -116,11 +115,12 @@ impl<'a> SpatialProblem<'a> {
             !data.frozen.contains(id) && sensors.imu.is_empty() && !sensors.fixed_frame.is_empty()
         };
         for (&id, sensors) in data.sensors.iter().filter(|(id, s)| data.doubts_sensors && tilts(id, s)) {
+            let Some(frame) = self.graph.fixed_frame(id) else { continue };
             let Some((node_id, node)) = of_trajectory(&data.nodes, id).next() else { continue };
             let Some(variable) = self.graph.node(node_id) else { continue };
             let fixes = of_trajectory(&data.nodes, id).count().min(sensors.fixed_frame.len());
             // All fixes together count as one whose height is off by that.
-            let of_fixes = translation_weight(data, id, self.options) * (fixes as f64).sqrt();
+            let of_fixes = frame.weights.0 * (fixes as f64).sqrt();
             let weight = of_fixes * COMMON_HEIGHT_ERROR / START_LEVEL_SIGMA;
             // Local SLAM and the map may differ in heading.
             let heading = yaw(&node.map_from_node.rotation) - yaw(&node.local_from_node.rotation);

@@ -361,10 +361,12 @@ pub fn map_recording<S: Space>(
         return Err(PipelineError::NoScans);
     }
     map.graph.move_by(&frame.origin());
+    let mut unused_fixes = 0;
     for id in std::iter::once(trajectory_id).chain(losses.iter().filter_map(|loss| loss.piece)) {
         if let Some(ended) = map.trajectories.get_mut(&id) {
             ended.fixed_frame_on_earth = ingestion.nav_sat_origin();
         }
+        unused_fixes += map.graph.unused_fixes(id);
     }
     let mut issues = known_issues;
     issues.merge(&ingestion.issues());
@@ -372,6 +374,7 @@ pub fn map_recording<S: Space>(
         issues.merge(&silences.issues());
     }
     issues.append(&mapping_issues);
+    issues.count(IssueKind::FixesNotUsed, unused_fixes as u64);
     issues.count(IssueKind::ScansNotKept, u64::from(kept_scans.failure().is_some()));
     Ok(MappedRecording {
         map,

@@ -7,7 +7,8 @@ use std::path::Path;
 use portolan_geometry::Duration;
 use portolan_recording::{LaserScan, Message, RecordedMessage};
 
-use super::{error_of, map, odometry_that_stands, read, rewritten};
+use super::witnesses::odometry_that_stands;
+use super::{error_of, map, read, rewritten};
 use crate::common::{portolan_with_code, real, text};
 
 /// The planar scanner that a 3D lidar contains: the nearest points at the height of the lidar. KITTI's turns are clockwise from

@@ -64,7 +64,7 @@ impl MapDraft {
         let collected = Collected::read(self)?;
         let mut data = self.problem::<S>(&collected);
         data.max_iterations_override = Some(iterations);
-        data.doubts_sensors = options.portolan.match_surfaces;
+        data.doubts_sensors = options.portolan.doubts_sensors();
         let constraints = self.constraints::<S>(&collected);
         data.set_anchors(&connectivity(&data, &constraints));
         if data.nodes.is_empty() || data.submaps.is_empty() {

@@ -56,7 +56,7 @@ use places::PlaceSearches;
 use portolan_config::PoseGraphOptions;
 use portolan_geometry::Time;
 use portolan_local_slam::{InsertedNode, UsualAgreement};
-use portolan_optimization::{LandmarkSighting, OptimizationData, OptimizationSummary};
+use portolan_optimization::{LandmarkSighting, OptimizationData, OptimizationSummary, unused_fixes};
 use portolan_recall::Memory;
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, OdometryData};
 use sampling::WholeSubmapTurns;
@@ -379,6 +379,12 @@ impl<S: Space> PoseGraph<S> {
     /// Adds an odometry pose.
     pub fn add_odometry_data(&mut self, id: TrajectoryId, data: OdometryData) {
         self.problem.sensors_mut(id).odometry.entry(data.time).or_insert(data);
+    }
+
+    /// How many nodes of a trajectory have satellite fixes that are not used, because they tell too little of the way or are those of
+    /// another one.
+    pub fn unused_fixes(&self, id: TrajectoryId) -> usize {
+        unused_fixes(&self.problem, id, &self.options.optimization_problem)
     }
 
     /// Adds a fixed-frame pose.

@@ -88,7 +88,7 @@ pub(super) const GOLDEN: f64 = 0.618_033_988_749_895;
 pub struct PoseGraphPolicy {
     /// Loop closures that all others together contradict are dropped at the end.
     pub drops_contradicted: bool,
-    /// Biases of IMUs are estimated and taken away when optimising in 3D, and fixes weighted by how far they scatter.
+    /// Biases of IMUs are estimated and taken away when optimising in 3D, and fixes weighed by what they are worth.
     pub doubts_sensors: bool,
     /// How many matches in whole submaps must agree to connect two trajectories; with 1 a single match does.
     pub min_agreeing: usize,
@@ -139,7 +139,7 @@ impl PoseGraphPolicy {
     pub fn new(options: &PortolanOptions) -> Self {
         Self {
             drops_contradicted: options.drop_contradicted_loop_closures,
-            doubts_sensors: options.match_surfaces,
+            doubts_sensors: options.doubts_sensors(),
             min_agreeing: options.global_localization_min_matches,
             localises_while_recording: options.match_surfaces,
             min_searches: options.min_loop_closure_searches as u64,
