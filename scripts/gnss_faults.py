@@ -16,6 +16,7 @@ HOW, joined by +:
     heights       heights off by 30 m
     metres        a place in metres in the fields of degrees
     silent        the covariance is zero, of unknown type
+    antenna       1.2 m ahead of what the truth follows, 0.5 m to the left of it and 0.8 m above
     elsewhere     the place of another drive: turned by 90 degrees half way
 Needs rosbags, numpy and scipy.
 """
@@ -26,6 +27,7 @@ from bags import add_connections
 from log_to_bag import STORE, make
 from odometry_space import header
 from rosbags.rosbag1 import Reader, Writer
+from scipy.spatial.transform import Rotation, Slerp
 
 ORIGIN = (48.2625, 11.6680, 480.0)
 METRES_PER_DEGREE = 111_132.0
@@ -41,6 +43,9 @@ def fixes(truth, hows):
     rng = np.random.default_rng(1)
     times = np.arange(truth[0, 0], truth[-1, 0], 0.2)
     places = np.stack([np.interp(times, truth[:, 0], truth[:, i]) for i in (1, 2, 3)], axis=1)
+    if "antenna" in hows:
+        turns = Slerp(truth[:, 0], Rotation.from_quat(truth[:, 4:8]))(times)
+        places = places + turns.apply([1.2, 0.5, 0.8])
     count, third = len(times), len(times) // 3
     sigma = 0.02 if set(hows) & {"fine", "drifting"} else 0.5
     if "elsewhere" in hows:

@@ -212,18 +212,22 @@ fn refined(pairs: &[Pair], map_from_fixed: &Rigid3, scale: f64) -> Option<Rigid3
 /// are shared by as many as follow each other meanwhile. None where fixes tell no heading, or are not those of this way.
 fn error_of(pairs: &[Pair], map_from_fixed: &Rigid3) -> Option<f64> {
     let noise = scatter(pairs, map_from_fixed, 1)?.max(1e-3);
-    let mut variance = noise * noise;
+    let (mut variance, mut longest) = (noise * noise, None::<Lengths>);
     let mut lag = 2;
     while 4 * lag <= pairs.len() {
         let Some(lengths) = Lengths::of(pairs, lag) else { break };
-        if lengths.contradict(noise) {
-            return None;
-        }
         // The map turns as it drifts, which is no error of fixes; lengths are all too long where they are noise.
         let at_lag = lengths.variance.min(scatter(pairs, map_from_fixed, lag)?.powi(2));
         let slow = at_lag - CLEARLY_MORE * noise * noise;
         variance = variance.max(noise * noise + slow.max(0.0) * lag as f64);
+        if longest.as_ref().is_none_or(|longest| lengths.length > longest.length) {
+            longest = Some(lengths);
+        }
         lag *= 2;
+    }
+    // Over short ways slow errors are as long as these.
+    if longest.is_some_and(|lengths| lengths.contradict(noise)) {
+        return None;
     }
     let (sigma, count) = (variance.sqrt(), pairs.len() as f64);
     (sigma < HEADING * extent(pairs) * count.sqrt()).then_some(sigma)

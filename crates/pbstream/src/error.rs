@@ -113,7 +113,9 @@ pub enum RecordError {
         available: u64,
     },
     /// The record is larger than the limit.
-    #[error("the record has {stated} compressed bytes, more than the limit of {limit}")]
+    #[error(
+        "the record has {stated} compressed bytes, more than the limit of {limit}; `repair` keeps what is whole"
+    )]
     CompressedTooLarge {
         /// Bytes according to the size field.
         stated: u64,
@@ -121,10 +123,13 @@ pub enum RecordError {
         limit: u64,
     },
     /// The record cannot be unpacked.
-    #[error(transparent)]
+    #[error("{0}; `repair` keeps what is whole")]
     Gzip(#[from] GzipError),
     /// The message is short but stands for very many parts.
-    #[error("the message would need {needed} bytes of memory, more than the limit of {limit}: it is damaged")]
+    #[error(
+        "the message would need {needed} bytes of memory, more than the limit of {limit}: it is damaged; `repair` keeps what is \
+         whole"
+    )]
     DecodedTooLarge {
         /// Bytes that the decoded message would need at most.
         needed: u64,
@@ -132,7 +137,7 @@ pub enum RecordError {
         limit: u64,
     },
     /// The record is not the message it should be.
-    #[error("not a valid message: {0}")]
+    #[error("not a valid message: {0}; `repair` keeps what is whole")]
     Decode(#[from] prost::DecodeError),
 }
 

@@ -113,7 +113,7 @@ pub struct SensorArgs {
     #[arg(long, conflicts_with = "imu")]
     pub no_imu: bool,
     /// Use satellite fixes (sensor_msgs/NavSatFix), as `--set use_nav_sat=true` does. They help on long trajectories outdoors
-    /// that do not come back to where they were; indoors and between high buildings fixes are wrong and harm.
+    /// that do not come back to where they were. They count by how far they scatter, and not at all where they contradict the map.
     #[arg(long)]
     pub gnss: bool,
     /// Frame whose motion is wanted: that of the IMU if one is used.
