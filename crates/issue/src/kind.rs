@@ -214,6 +214,7 @@ kinds! {
     ScanFitsNoPlane Warning "scan that fits no plane; its pose follows from odometry, IMU, constant velocity or matching to grids"
     TravelGuessed Error "scan before which nothing told for seconds how far it went; constant velocity was assumed"
     OdometryOverruled Warning "sweep whose motion contradicts odometry, which was not used"
+    OdometryCorrected Warning "odometry goes {factor} times as far as sweeps; it was corrected by that"
     GyroscopeOverruled Warning "sweep whose rotation contradicts the gyroscope; the rotation found by matching was used"
     ImuSampleTooOld Warning "IMU sample older than the last matched scan"
     ImuSampleNotFinite Error "IMU sample that is not finite"

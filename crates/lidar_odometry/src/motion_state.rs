@@ -296,6 +296,11 @@ impl MotionState {
         self.extrapolator = extrapolator;
     }
 
+    /// How many times as far as sweeps odometry goes, where that is clearly another number than one.
+    pub fn odometry_factor(&self) -> Option<f64> {
+        self.odometry.factor()
+    }
+
     /// Whether there is odometry that sweeps contradict.
     pub fn doubts_odometry(&self) -> bool {
         self.odometry.is_doubted()

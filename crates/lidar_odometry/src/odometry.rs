@@ -310,6 +310,12 @@ impl LidarOdometry {
         all
     }
 
+    /// How many times as far as sweeps the odometry of the platform goes, where that is clearly another number than one: its motions
+    /// are corrected by it.
+    pub fn odometry_factor(&self) -> Option<f64> {
+        self.state.motion()?.odometry_factor()
+    }
+
     /// What was wrong with the data so far.
     pub fn issues(&self) -> &Issues {
         &self.issues

@@ -147,6 +147,11 @@ impl OdometryPrior {
         self.velocity_is_known
     }
 
+    /// How many times as far as sweeps odometry goes, where it is believed and that is clearly another number than one.
+    pub fn factor(&self) -> Option<f64> {
+        self.calibration.factor().filter(|_| self.trust.works())
+    }
+
     /// Whether there is odometry that sweeps contradict.
     pub fn is_doubted(&self) -> bool {
         self.without.is_some() && !self.trust.works()

@@ -38,8 +38,8 @@ pub(super) fn odometry_that_stands(scan: &RecordedMessage) -> Vec<RecordedMessag
     odometry_of(scan, &|_| Some(Rigid3::identity()))
 }
 
-/// Error of a drive whose odometry tells this in place of the truth.
-fn error_with_odometry(told: impl Fn(Rigid3) -> Rigid3) -> Option<f64> {
+/// Error and report of a drive whose odometry tells this in place of the truth.
+fn with_odometry(told: impl Fn(Rigid3) -> Rigid3) -> Option<(f64, String)> {
     let recording = real("lidar3d/kitti_0001.bag")?;
     let truth = read(&real("lidar3d/kitti_0001.truth.tum")?);
     let truth_from_lidar = Rigid3::translation(0.81, -0.32, 0.80);
@@ -52,15 +52,17 @@ fn error_with_odometry(told: impl Fn(Rigid3) -> Rigid3) -> Option<f64> {
         odometry.into_iter().chain([sweep]).collect()
     });
     map(&text(&with_wheels), folder.path(), &[]);
+    let report = std::fs::read_to_string(folder.path().join("report.json")).unwrap();
     let of_lidar = |(time, pose): (Time, Rigid3)| TimedPose { time, map_from_tracking: pose };
     let truth = Trajectory::new(truth.poses().iter().map(lidar).map(of_lidar)).0;
-    Some(error_of(&truth, &read(&text(&folder.path().join("trajectory.tum")))))
+    Some((error_of(&truth, &read(&text(&folder.path().join("trajectory.tum")))), report))
 }
 
 #[test]
 fn in_space_wheels_that_are_never_read_are_not_believed() {
-    let Some(error) = error_with_odometry(|_| Rigid3::identity()) else { return };
+    let Some((error, report)) = with_odometry(|_| Rigid3::identity()) else { return };
     assert!(error <= 1.3 * 0.036, "{error} m");
+    assert!(report.contains("odometry_overruled"), "{report}");
 }
 
 #[test]
@@ -69,8 +71,12 @@ fn in_space_wheels_of_another_size_are_corrected() {
         return;
     }
     let smaller = |pose: Rigid3| Rigid3::from_parts((0.9 * pose.translation.vector).into(), pose.rotation);
-    let Some(error) = error_with_odometry(smaller) else { return };
+    let Some((error, report)) = with_odometry(smaller) else { return };
     assert!(error <= 1.3 * 0.040, "{error} m");
+    assert!(
+        report.contains("goes 0.90 times as far") || report.contains("goes 0.91 times as far"),
+        "{report}"
+    );
 }
 
 /// A fix where the map has the scanner, turned by a quarter, and off by these metres.

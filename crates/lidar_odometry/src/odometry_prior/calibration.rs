@@ -19,6 +19,9 @@ const MEMORY: f64 = 20.0;
 const NOISE: (f64, f64) = (0.01, 1e4);
 /// After so many seconds nothing is known of the calibration: a platform drives up a ramp and down again. Assumed.
 const FORGOTTEN: f64 = 100.0;
+/// A scale is told that is off by so much, and by so many standard deviations.
+const TOLD: f64 = 0.05;
+const SURE: f64 = 3.0;
 /// An innovation of more standard deviations (squared) tells nothing of the calibration.
 const OUTLIER: f64 = 9.0;
 
@@ -60,6 +63,13 @@ impl Calibration {
         told.clone().changed(|_, pose| {
             pose.translation.vector = start + matrix * (pose.translation.vector - start);
         })
+    }
+
+    /// How many times as far as sweeps odometry goes, where that is clearly another number than one.
+    pub fn factor(&self) -> Option<f64> {
+        let sigma = self.variances.x.sqrt();
+        let is_told = self.mean.x.abs() > TOLD && self.mean.x.abs() > SURE * sigma;
+        is_told.then(|| 1.0 / (1.0 + self.mean.x))
     }
 
     /// How far off a corrected motion is along each axis, metres (standard deviation).
@@ -146,6 +156,7 @@ mod tests {
         let corrected = calibration.corrected(&segment, &motion).translation();
         assert!((corrected - moved).norm() < 0.01, "{corrected}");
         assert!(calibration.sigma(&motion) < 0.025, "{}", calibration.sigma(&motion));
+        assert!((calibration.factor().unwrap() - 1.0 / 0.92).abs() < 0.01);
         // The way back.
         let back = ToldMotion { translation: -told, seconds: 0.1 };
         let returned = calibration.corrected(&segment.changed(|_, pose| *pose = pose.inverse()), &back);
@@ -167,7 +178,7 @@ mod tests {
     fn sweeps_that_tell_nothing_and_rest_teach_nothing() {
         let told = Vector3::new(1.0, 0.0, 0.0);
         let open = after(std::iter::repeat_n((told, 0.5 * told), 40), 1.0);
-        assert_eq!(open.mean, Vector3::zeros());
+        assert_eq!((open.mean, open.factor()), (Vector3::zeros(), None));
         let resting = after(std::iter::repeat_n((Vector3::zeros(), Vector3::zeros()), 40), 1e-5);
         assert_eq!(resting.noise.variance_factor(), 1.0);
     }

@@ -232,6 +232,10 @@ impl LocalSlam<Spatial> for LocalSlam3d {
         let counts = match &self.engine {
             Engine::Planes(engine) => {
                 issues.append(engine.issues());
+                if let Some(factor) = engine.odometry_factor() {
+                    let issue = Issue::new(IssueKind::OdometryCorrected);
+                    issues.add(issue.with_number("factor", format_args!("{factor:.2}")));
+                }
                 engine.extrapolator_counts()
             }
             Engine::Grids(engine) => engine.extrapolator_counts(),

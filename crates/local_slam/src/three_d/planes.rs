@@ -150,6 +150,11 @@ impl PlaneEngine {
         self.odometry.extrapolator_counts()
     }
 
+    /// How many times as far as sweeps odometry goes, where that is clearly another number than one.
+    pub fn odometry_factor(&self) -> Option<f64> {
+        self.odometry.odometry_factor()
+    }
+
     /// What the odometry counted so far.
     pub fn issues(&self) -> &IssueLog {
         &self.issues
