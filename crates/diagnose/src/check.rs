@@ -21,6 +21,7 @@ use crate::clock_offset::{ClockOffset, ImuComparison};
 use crate::clouds::CloudChecks;
 use crate::coverage::Coverage;
 use crate::finding::{Finding, Findings, Kind};
+use crate::fixes::FixChecks;
 use crate::imu::ImuChecks;
 use crate::odometry::OdometryChecks;
 use crate::odometry_fault::OdometryFault;
@@ -93,6 +94,7 @@ enum TopicChecks {
     Cloud { ranges: RangeChecks, clouds: CloudChecks, turns: CloudTurns },
     Imu { imu: Box<ImuChecks>, turns: ImuTurns },
     Odometry(OdometryChecks),
+    Fixes(FixChecks),
 }
 
 struct Check<'a> {
@@ -178,6 +180,7 @@ impl<'a> Check<'a> {
             (TopicChecks::Odometry(odometry), Message::Odometry(message)) => {
                 odometry.add(topic, message, findings);
             }
+            (TopicChecks::Fixes(fixes), Message::NavSatFix(message)) => fixes.add(topic, message, findings),
             _ => {}
         }
         None
@@ -263,6 +266,7 @@ impl<'a> Check<'a> {
                 imu.finish(topic, mounting.as_ref(), findings);
             }
             TopicChecks::Odometry(odometry) => odometry.finish(topic, findings),
+            TopicChecks::Fixes(_) => {}
         }
     }
 
@@ -368,6 +372,7 @@ impl TopicChecks {
             }),
             Message::Imu(_) => Some(Self::Imu { imu: Box::default(), turns: ImuTurns::default() }),
             Message::Odometry(_) => Some(Self::Odometry(OdometryChecks::default())),
+            Message::NavSatFix(_) => Some(Self::Fixes(FixChecks::default())),
             _ => None,
         }
     }

@@ -6,6 +6,7 @@ mod clock_offset;
 mod clouds;
 mod coverage;
 mod finding;
+mod fixes;
 mod histogram;
 mod imu;
 mod imu_values;
