@@ -39,6 +39,8 @@ pub(crate) struct Calibration {
     /// What told motions are to be longer by, to the left by and up by, for each metre, and the variance of each.
     mean: Vector3,
     variances: Vector3,
+    /// In which direction the last motion went, in the local map.
+    last_along: Option<Vector3>,
     /// Variance of the noise, against what is assumed.
     noise: CovarianceMatching,
     settings: MotionPriorSettings,
@@ -49,6 +51,7 @@ impl Calibration {
         Self {
             mean: Vector3::zeros(),
             variances: Vector3::repeat(settings.odometry_calibration.powi(2)),
+            last_along: None,
             noise: CovarianceMatching::new(MEMORY).within(NOISE.0, NOISE.1),
             settings: settings.clone(),
         }
@@ -57,12 +60,21 @@ impl Calibration {
     /// The segment with its translations corrected.
     pub fn corrected(&self, told: &TrajectorySegment, motion: &ToldMotion) -> TrajectorySegment {
         let start = told.start().translation.vector;
-        let [_, left, _] = motion.axes();
-        let turn = (Vector3::z() * self.mean.y - left * self.mean.z).cross_matrix();
-        let matrix = Matrix3::identity() * (1.0 + self.mean.x) + turn;
+        let (mean, [_, left, _]) = (self.mean_of(motion), motion.axes());
+        let turn = (Vector3::z() * mean.y - left * mean.z).cross_matrix();
+        let matrix = Matrix3::identity() * (1.0 + mean.x) + turn;
         told.clone().changed(|_, pose| {
             pose.translation.vector = start + matrix * (pose.translation.vector - start);
         })
+    }
+
+    /// The mean for a motion: what leads up leads down on the way back.
+    fn mean_of(&self, motion: &ToldMotion) -> Vector3 {
+        let [along, ..] = motion.axes();
+        match self.last_along.is_some_and(|last| last.dot(&along) < 0.0) {
+            true => Vector3::new(self.mean.x, self.mean.y, -self.mean.z),
+            false => self.mean,
+        }
     }
 
     /// How many times as far as sweeps odometry goes, where that is clearly another number than one.
@@ -92,6 +104,8 @@ impl Calibration {
         if told.max(moved.norm()) < 2.0 * least {
             return;
         }
+        self.mean = self.mean_of(motion);
+        self.last_along = Some(motion.axes()[0]);
         let noise = self.noise_variance(motion);
         for (i, axis) in motion.axes().iter().enumerate() {
             let variance = axis.dot(&(found.covariance * axis));
@@ -160,7 +174,7 @@ mod tests {
         // The way back.
         let back = ToldMotion { translation: -told, seconds: 0.1 };
         let returned = calibration.corrected(&segment.changed(|_, pose| *pose = pose.inverse()), &back);
-        assert!((returned.translation() - Vector3::new(-0.92, -0.05, -0.03)).norm() < 0.01);
+        assert!((returned.translation() - Vector3::new(-0.92, -0.05, 0.03)).norm() < 0.01);
     }
 
     #[test]
