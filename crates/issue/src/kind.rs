@@ -181,7 +181,7 @@ kinds! {
     InvalidPose Error "invalid poses were left out"
     QuaternionNormalised Info "quaternions of a wrong length were normalised"
     InvalidFix Error "satellite fixes that are not a place on Earth were left out"
-    FixesNotUsed Warning "scans at satellite fixes that were not used: these tell too little of the way, or another one"
+    FixesNotUsed Warning "nodes whose satellite fixes were not used: they contradict the map, or the robot moved too little for a heading"
     LandmarkWithoutTransform Info "landmarks without a transform are taken as seen from the tracking frame"
     InvalidLandmark Error "landmarks with an invalid pose or weight were left out"
     SensorSilent Warning "falls silent {seconds} s before the end; the rest is mapped without it"

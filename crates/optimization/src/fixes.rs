@@ -1,10 +1,10 @@
 //! Poses in a fixed frame, such as satellite fixes: where that frame lies in the map, and how much they count.
 //!
-//! A fix says nothing of headings, so that the frame of fixes is laid over the way of the nodes: a solver that begins with another
-//! heading does not find it. It is found robustly, from pairs of nodes (as RANSAC, Fischler and Bolles 1981, with the median of
-//! what is left as the score), and refined by weighted least squares in closed form. Fixes count by how far they are off:
-//! what is off anew each time follows from differences of fixes that follow each other, what changes slowly, such as reflected
-//! signals, from how far apart fixes are that nodes have measured to be so far apart. Neither needs a map without drift.
+//! A fix says nothing of headings, and a solver that begins with a wrong heading of the frame of fixes gets stuck. So the frame is found
+//! from pairs of nodes (least median of squares: Rousseeuw, "Least Median of Squares Regression", 1984) and refined by weighted
+//! least squares in closed form. The weight of fixes follows from two errors. White noise: from differences of consecutive fixes. Slow
+//! errors, such as reflected signals: from distances between fixes against the distances between their nodes, over times that double.
+//! Neither needs a map without drift.
 
 use std::collections::BTreeMap;
 
@@ -30,13 +30,13 @@ const OUTLIER: f64 = 3.0;
 /// So many pairs of nodes are tried, with so many fixes as their judges.
 const TRIALS: usize = 100;
 const JUDGES: usize = 400;
-/// How far lengths of the map may be off, as a share; fixes that contradict more than half of the lengths by more than the second
-/// are not those of this way.
+/// How far distances in the map may be off, as a share; fixes contradict the map where half of the longest distances differ by more than
+/// the second share. Assumed.
 const MAP_ERROR: f64 = 0.02;
 const CONTRADICTION: f64 = 0.2;
-/// Slow errors are told from noise by so many times its variance.
+/// There are slow errors where the variance is so many times that of the noise. Assumed.
 const CLEARLY_MORE: f64 = 1.5;
-/// The heading of the frame must be known so well, radians.
+/// The heading of the frame must be known so well, radians. Assumed.
 const HEADING: f64 = 0.1;
 
 /// Fixes so many times as far apart as usual, or so many seconds, have a gap between them, in which they tell nothing.
@@ -62,7 +62,7 @@ struct Pair {
 }
 
 impl FixedFrame {
-    /// None where nothing is known of it: there are no poses in it, or they cannot be those of this way.
+    /// None where nothing is known of it: there are no poses in it, too few for a heading, or they contradict the map.
     pub fn of(
         data: &OptimizationData,
         id: TrajectoryId,
@@ -96,7 +96,7 @@ impl FixedFrame {
     }
 }
 
-/// How many nodes have satellite fixes that are not used, because they tell too little of the way or are those of another one.
+/// How many nodes have satellite fixes that are not used, because they contradict the map or the robot moved too little for a heading.
 pub fn unused_fixes(
     data: &OptimizationData,
     id: TrajectoryId,
@@ -209,7 +209,7 @@ fn refined(pairs: &[Pair], map_from_fixed: &Rigid3, scale: f64) -> Option<Rigid3
 }
 
 /// What a fix is off by along each axis, metres (standard deviation), so that all of them together count as what they tell: slow errors
-/// are shared by as many as follow each other meanwhile. None where fixes tell no heading, or are not those of this way.
+/// are shared by as many as follow each other meanwhile. None where fixes tell no heading, or contradict the map.
 fn error_of(pairs: &[Pair], map_from_fixed: &Rigid3) -> Option<f64> {
     let noise = scatter(pairs, map_from_fixed, 1)?.max(1e-3);
     let (mut variance, mut longest) = (noise * noise, None::<Lengths>);
@@ -271,7 +271,7 @@ impl Lengths {
         Some(Self { length, variance, difference })
     }
 
-    /// Whether most fixes cannot be those of this way.
+    /// Whether most fixes contradict the map.
     fn contradict(&self, noise: f64) -> bool {
         let by_noise = OUTLIER * std::f64::consts::SQRT_2 * noise;
         self.length > by_noise && self.difference > by_noise + CONTRADICTION * self.length

@@ -381,8 +381,8 @@ impl<S: Space> PoseGraph<S> {
         self.problem.sensors_mut(id).odometry.entry(data.time).or_insert(data);
     }
 
-    /// How many nodes of a trajectory have satellite fixes that are not used, because they tell too little of the way or are those of
-    /// another one.
+    /// How many nodes of a trajectory have satellite fixes that are not used, because they contradict the map or the robot moved too
+    /// little for a heading.
     pub fn unused_fixes(&self, id: TrajectoryId) -> usize {
         unused_fixes(&self.problem, id, &self.options.optimization_problem)
     }

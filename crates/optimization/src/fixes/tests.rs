@@ -70,7 +70,7 @@ fn slow_errors_count_as_those_of_a_few_fixes() {
 }
 
 #[test]
-fn fixes_of_another_way_are_not_believed() {
+fn fixes_that_contradict_the_map_are_not_believed() {
     let frozen = drive(|_| [0.0; 2]);
     let mut repeated = frozen.clone();
     let fixes = &mut repeated.sensors_mut(ID).fixed_frame;
