@@ -248,6 +248,8 @@ mod tests {
         let second = fixes.convert(time, &fix(0, 48.001)).unwrap().fixed_from_tracking.unwrap();
         assert!((second.translation.vector - Vector3::new(-111.2, 0.0, 500.0)).norm() < 0.1);
         assert!(fixes.convert(time, &fix(0, 91.0)).is_none());
+        let nowhere = NavSatFix { longitude_degrees: 0.0, ..fix(0, 0.0) };
+        assert_eq!(fixes.convert(time, &nowhere).unwrap().fixed_from_tracking, None);
         assert!(fixes.origin().is_some());
     }
 }

@@ -337,7 +337,7 @@ mod tests {
         let settings = OdometrySettings::default();
         assert_eq!(settings.check(), Ok(()));
         let entries = settings.entries();
-        // Half of what there was before they were in one place.
+        // Few enough to be read at once.
         assert!((60..=79).contains(&entries.len()), "{}", entries.len());
         for entry in &entries {
             let texts = [entry.unit, entry.default, entry.what, entry.origin, entry.larger];

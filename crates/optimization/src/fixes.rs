@@ -154,7 +154,8 @@ fn aligned(pairs: &[Pair]) -> Option<Rigid3> {
         }
         let heading = of_map.y.atan2(of_map.x) - of_fixes.y.atan2(of_fixes.x);
         let pose = placed(&judges, heading)?;
-        let score = median(&mut judges.iter().map(|pair| left(pair, &pose).xy().norm()).collect::<Vec<_>>())?;
+        let score =
+            median(&mut judges.iter().map(|pair| residual(pair, &pose).xy().norm()).collect::<Vec<_>>())?;
         if best.is_none_or(|(least, _)| score < least) {
             best = Some((score, pose));
         }
@@ -181,14 +182,15 @@ fn placed(pairs: &[Pair], heading: f64) -> Option<Rigid3> {
     Some(Rigid3::from_parts(place.into(), rotation))
 }
 
-fn left(pair: &Pair, map_from_fixed: &Rigid3) -> Vector3 {
+/// What a fix is off by, metres in the map.
+fn residual(pair: &Pair, map_from_fixed: &Rigid3) -> Vector3 {
     pair.place - (map_from_fixed.rotation * pair.fix + map_from_fixed.translation.vector)
 }
 
-/// Least squares in closed form, each pair weighted by what is left of it (Geman and McClure).
+/// Least squares in closed form, each pair weighted by its residual (Geman and McClure).
 fn refined(pairs: &[Pair], map_from_fixed: &Rigid3, scale: f64) -> Option<Rigid3> {
     let weight = |pair: &Pair| {
-        let squared = left(pair, map_from_fixed).xy().norm_squared() / (scale * scale);
+        let squared = residual(pair, map_from_fixed).xy().norm_squared() / (scale * scale);
         (1.0 + squared).powi(-2)
     };
     let weights: Vec<f64> = pairs.iter().map(weight).collect();
@@ -236,7 +238,7 @@ fn error_of(pairs: &[Pair], map_from_fixed: &Rigid3) -> Option<f64> {
 /// How much what fixes are off by changes within so many nodes, as the standard deviation along each axis of errors that are made anew
 /// meanwhile, metres. Slow errors cancel, whether of the fixes or of the map.
 fn scatter(pairs: &[Pair], map_from_fixed: &Rigid3, lag: usize) -> Option<f64> {
-    let errors: Vec<Vector3> = pairs.iter().map(|pair| left(pair, map_from_fixed)).collect();
+    let errors: Vec<Vector3> = pairs.iter().map(|pair| residual(pair, map_from_fixed)).collect();
     let steps = errors.iter().zip(errors.iter().skip(lag)).map(|(a, b)| b - a);
     let mut steps: Vec<f64> = steps.flat_map(|step| [step.x.abs(), step.y.abs()]).collect();
     Some(quantile(&mut steps, 0.5)? / (MEDIAN_DEVIATION * std::f64::consts::SQRT_2))
@@ -255,9 +257,15 @@ struct Lengths {
 impl Lengths {
     /// None where the map tells too few.
     fn of(pairs: &[Pair], lag: usize) -> Option<Self> {
-        let is_known = |window: &&[Pair]| !window.iter().any(|pair| pair.is_guess);
-        let ends = |window: &'_ [Pair]| Some((*window.first()?, *window.last()?));
-        let two: Vec<(Pair, Pair)> = pairs.windows(lag + 1).filter(is_known).filter_map(ends).collect();
+        // Pairs since the map last had to guess, each pair included.
+        let mut known = 0;
+        let is_known = |pair: &Pair| {
+            known = if pair.is_guess { 0 } else { known + 1 };
+            known > lag
+        };
+        let are_known: Vec<bool> = pairs.iter().map(is_known).collect();
+        let ends = pairs.iter().zip(pairs.iter().skip(lag)).zip(are_known.iter().skip(lag));
+        let two: Vec<(&Pair, &Pair)> = ends.filter(|(_, is_known)| **is_known).map(|(two, _)| two).collect();
         if two.len() < MIN_FIXES {
             return None;
         }

@@ -114,13 +114,13 @@ impl Calibration {
                 continue;
             }
             let expected = told * (self.mean[i] + if i == 0 { 1.0 } else { 0.0 });
-            let left = axis.dot(moved) - expected;
+            let innovation = axis.dot(moved) - expected;
             let total = variance + least * least + noise + told * told * self.variances[i];
-            let squared = left * left / total;
+            let squared = innovation * innovation / total;
             self.noise.add_relative(squared);
             if squared < OUTLIER {
                 let gain = told * self.variances[i] / total;
-                self.mean[i] += gain * left;
+                self.mean[i] += gain * innovation;
                 self.variances[i] -= gain * gain * total;
             }
         }
