@@ -6,6 +6,7 @@
     scripts/field_localize.py --logs orebro fhw fr101-rawodo    thinned logs: 60 scans each
     scripts/field_localize.py --logs intel --map-of aces        in another building's map, where nothing may be localised
     scripts/field_localize.py --kidnap --logs intel             two pieces of the rest glued together
+    scripts/field_localize.py --logs aces --odometry "jump 3 m"  pieces with wrong odometry: field_odometry_faults.py names the faults
     scripts/field_localize.py --space                  odd sweeps of real 3D drives in maps of the even ones
 
 The truth is the map of the whole log. The map of the first half alone is bent against it where loops close later, by more
@@ -22,6 +23,7 @@ import sys
 import tempfile
 
 from field_localize_kidnap import kidnaps
+from field_odometry_faults import FAULTS
 from field_localize_log import LASTING, LOGS, REPOSITORY, Log, data_folder, is_wrong, longest_false
 
 
@@ -113,6 +115,7 @@ def main():
     parser.add_argument("--pairs", type=int, default=20, help="with --kidnap: so many, those that the map does not know left out")
     parser.add_argument("--carried", choices=["odometry-jumps", "odometry-stands"], default="odometry-jumps",
                         help="with --kidnap: what the odometry says meanwhile")
+    parser.add_argument("--odometry", choices=list(FAULTS), help="pieces are of the log with this fault; the map is not")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--maps", help="folder where maps are kept from run to run")
     parser.add_argument("--details", action="store_true", help="one line for each piece")
@@ -130,6 +133,8 @@ def main():
         other = arguments.map_of and Log(arguments.program, arguments.map_of, cache).map
         for name in arguments.logs:
             log = Log(arguments.program, name, cache)
+            if arguments.odometry:
+                log.spoil(FAULTS[arguments.odometry], cache)
             if arguments.kidnap:
                 kidnaps(log, arguments.pairs, arguments.carried, arguments.workers, arguments.details)
                 continue

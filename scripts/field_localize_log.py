@@ -1,5 +1,6 @@
 """Logs of the data folder, maps of their first halves, the truth in these maps, and pieces localised in them: for `field_localize.py`."""
 import bisect
+import bz2
 import csv
 import json
 import math
@@ -7,6 +8,8 @@ import os
 import pathlib
 import subprocess
 import tempfile
+
+from field_odometry_faults import faulty
 
 REPOSITORY = pathlib.Path(__file__).resolve().parent.parent
 LOGS = {
@@ -213,6 +216,12 @@ class Log:
         self.map = folder / "map.pbstream"
         self.known = read_tum(folder / "trajectory.tum")
         self.truth = Truth(whole, self.known)
+
+    def spoil(self, fault, folder):
+        """From now on pieces are those of the log with a fault of its odometry. For logs in text."""
+        text = bz2.open(self.recording, "rt", errors="replace").read()
+        self.recording = folder / f"{self.name}_spoilt.clf"
+        self.recording.write_text(faulty(text, fault))
 
     def seconds(self, count):
         """Seconds from the start of the log to a place in it, which is so many seconds or scans from the start."""

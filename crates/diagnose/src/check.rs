@@ -9,7 +9,7 @@ use portolan_geometry::{Dimension, Duration, Rigid3, Time, Vector3};
 use portolan_ingest::{
     BeamDirections, BeamSmoothing, CloudLayout, IngestOptions, Inventory, PlannedOdometry, RecordingClock,
     ScanCorrections, SensorPlan, TfInput, TfTree, TimedPoints, TopicSurvey, plan, points_of_echoes,
-    points_of_laser_scan,
+    points_of_laser_scan, upright_frame,
 };
 use portolan_issue::{Issue, IssueKind};
 use portolan_recording::{
@@ -423,12 +423,13 @@ fn span_of(points: &TimedPoints) -> Option<(Time, Time)> {
     Some((points.time + Duration::from_seconds(f64::from(earliest)), points.time))
 }
 
-/// The sensor of a topic in the tracking frame, if that is known and fixed.
+/// The sensor of a topic in the frame that is upright, if there is one, and it is fixed there.
 fn mounting(inventory: &Inventory, topic: &str, plan: Option<&SensorPlan>) -> Option<Rigid3> {
     let frame = inventory.topic(topic)?.frame.as_deref()?;
-    // The frame of the robot is upright; that of an IMU need not be.
-    let base = ["base_link", "base_footprint"].into_iter().find(|b| inventory.tree.has_frame(b));
-    inventory.tree.lookup_static(base.or_else(|| plan.map(|p| p.tracking_frame.as_str()))?, frame)
+    let scanners = plan.iter().flat_map(|p| &p.range).map(|range| &*range.source.frame);
+    let dimension = plan.map_or(Dimension::Three, |p| p.dimension);
+    let upright = upright_frame(&inventory.tree, frame, scanners, dimension)?;
+    inventory.tree.lookup_static(upright, frame)
 }
 
 fn counted(kind: &Kind, issue: &Issue) -> Finding {

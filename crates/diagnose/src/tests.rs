@@ -257,6 +257,24 @@ fn faults_of_imus_and_odometry() {
 }
 
 #[test]
+fn an_imu_that_leans_is_told_where_a_robot_says_what_is_upright_and_may_lean_in_the_hand() {
+    let with = |carrier: &'static str| {
+        let transforms =
+            fixed(&[(carrier, "lidar", [0.0, 0.0, 0.3], 0.0), (carrier, "imu_link", [0.0; 3], 0.0)]);
+        let mut messages = vec![named("/tf_static", 0.0, Message::Tf(transforms))];
+        messages.extend((0..20).map(|i| 0.1 * f64::from(i)).map(|t| named("/points", t, cloud(t, "lidar"))));
+        messages
+            .extend((0..200).map(|i| 0.01 * f64::from(i)).map(|t| named("/imu", t, imu(t, [0.3, 9.8, 0.1]))));
+        checked(messages)
+    };
+    assert_eq!(find(&with("base_link"), "gravity lies along +y").severity, Severity::Error);
+    for carried in ["handle", "imu_link"] {
+        let text = findings_to_text(&with(carried));
+        assert!(!text.contains("gravity lies along") && !text.contains("leans"), "{carried}: {text}");
+    }
+}
+
+#[test]
 fn an_imu_without_gravity_is_told_as_that_alone() {
     let mut messages = robot(scans(100, |_, _| {}));
     for i in 0..500 {

@@ -41,7 +41,7 @@ pub use ingestion::{IngestError, Ingestion};
 pub use options::{ConfiguredSensors, IngestOptions, SamplingRatios};
 pub use plan::{
     Notice, PlanError, PlannedImu, PlannedOdometry, PlannedRange, PlannedSensor, SensorPlan,
-    SensorStatistics, plan,
+    SensorStatistics, plan, upright_frame,
 };
 pub use point_time::{PointTime, PointTimeOrigin};
 pub use range_noise::{RangeNoise, RangeNoiseEstimator};

@@ -26,6 +26,7 @@ use crate::statistics::{ImuStatistics, RangeStatistics};
 use crate::steady_clock::StampJitter;
 use crate::survey::{Inventory, TopicSurvey};
 use request::Request;
+pub use robot::upright_frame;
 
 /// Something that was chosen and may be chosen otherwise.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]

@@ -8,7 +8,7 @@ use portolan_sensor::SensorKind;
 use super::beam_elevation::beam_elevation;
 use super::point_times::times_of_points;
 use super::request::Request;
-use super::robot::why_apart;
+use super::robot::{upright_frame, why_apart};
 use super::{Chosen, PlanError, PlannedRange, SensorPlan};
 use crate::azimuth_time::AzimuthTimes;
 use crate::options::IngestOptions;
@@ -198,7 +198,7 @@ fn without_leaning<'a>(
     plan: &mut SensorPlan,
 ) -> Vec<Chosen<'a>> {
     let leaning = |c: &Chosen| {
-        let base = ["base_link", "base_footprint"].into_iter().find(|b| inventory.tree.has_frame(b))?;
+        let base = upright_frame(&inventory.tree, c.frame(), [], Dimension::Two)?;
         // Upside down is fine. One that is tilted to and fro counts as it leans most.
         let poses = inventory.tree.lookup_often(base, c.frame());
         let upright = poses.iter().map(|pose| (pose.rotation * Vector3::z()).z.abs()).reduce(f64::min)?;

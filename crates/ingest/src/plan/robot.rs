@@ -1,6 +1,30 @@
-//! Which sensors are on one robot: recordings may hold several.
+//! Which sensors are on one robot, and which frame is the robot's: recordings may hold several.
+
+use portolan_geometry::Dimension;
 
 use crate::tf::TfTree;
+
+/// Frames of robots by convention, best first.
+const BASE_FRAMES: [&str; 6] = ["base_link", "base_footprint", "base", "base_frame", "robot_base", "chassis"];
+
+/// The frames that are those of robots by their names, also as `robot/base_link`, the best first.
+pub(super) fn base_frames(tree: &TfTree) -> impl Iterator<Item = &str> {
+    let named = |base: &'static str| tree.frames().filter(move |f| f.rsplit('/').next() == Some(base));
+    BASE_FRAMES.into_iter().flat_map(named)
+}
+
+/// The frame whose z axis points up as far as is known: that of the robot which carries a sensor, else, in 2D, that of a planar
+/// scanner beside it. None in 3D without a robot: what is carried in the hand may lean as it likes.
+pub fn upright_frame<'a>(
+    tree: &'a TfTree,
+    frame: &str,
+    scanners: impl IntoIterator<Item = &'a str>,
+    dimension: Dimension,
+) -> Option<&'a str> {
+    let beside = |other: &&str| are_on_one_robot(tree, other, frame);
+    let scanner = || scanners.into_iter().filter(|_| dimension == Dimension::Two).find(beside);
+    base_frames(tree).find(beside).or_else(scanner)
+}
 
 /// Whether transforms join two frames, and not through a frame that stays where it is while robots move.
 pub(super) fn are_on_one_robot(tree: &TfTree, a: &str, b: &str) -> bool {

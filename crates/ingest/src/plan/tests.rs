@@ -360,6 +360,7 @@ fn in_space_an_imu_that_leans_against_the_robot_is_left_out_and_one_in_the_hand_
     assert!(swapped.imu.is_none() && swapped.dimension == Dimension::Three);
     assert!(swapped.notices.iter().any(|n| n.what.contains("leaning 89°")));
     assert!(with([0.3, 0.1, -9.8], "base_link").imu.is_none());
+    assert!(with([0.3, 0.1, -9.8], "robot_2/base_link").imu.is_none());
     assert!(with([4.0, 0.1, 9.0], "base_link").imu.is_some());
     assert!(with([0.3, 9.8, 0.1], "handle").imu.is_some());
 }

@@ -7,7 +7,7 @@ use portolan_issue::Severity;
 use portolan_sensor::SensorKind;
 
 use super::request::Request;
-use super::robot::{are_on_one_robot, shared_parts, why_apart};
+use super::robot::{are_on_one_robot, base_frames, shared_parts, upright_frame, why_apart};
 use super::{Chosen, ImuScale, PlanError, PlannedImu, SensorPlan};
 use crate::options::IngestOptions;
 use crate::statistics::ImuStatistics;
@@ -26,8 +26,6 @@ const MIN_RATE: f64 = 10.0;
 const SAME_PLACE: f64 = 1e-5;
 /// An IMU that leans more than this against the robot is of no use.
 const MAX_LEAN_DEGREES: f64 = 45.0;
-/// Frames of robots by convention, best first.
-const BASE_FRAMES: [&str; 6] = ["base_link", "base_footprint", "base", "base_frame", "robot_base", "chassis"];
 
 /// An IMU that may be used.
 pub(super) struct ImuChoice<'a> {
@@ -144,17 +142,12 @@ fn is_connected(chosen: &Chosen, inventory: &Inventory, range: &[Chosen]) -> boo
     range.iter().any(|r| frame.is_empty() || are_on_one_robot(&inventory.tree, frame, r.frame()))
 }
 
-/// Why an IMU cannot tell level: what it shows as up leans far against the upright of the robot, or of the scanner
-/// in 2D where no robot is known. Its axes are swapped, or its mounting is not in the transforms; scans
-/// levelled by it would be folded, and in 3D it tells turns about the wrong axes. There a scanner that is
-/// carried in the hand may lean as it likes.
+/// Why an IMU cannot tell level: what it shows as up leans far against the upright frame. Its axes are swapped, or its
+/// mounting is not in the transforms; scans levelled by it would be folded, and in 3D it tells turns about the wrong axes.
 fn leaning(chosen: &Chosen, inventory: &Inventory, range: &[Chosen], dimension: Dimension) -> Option<String> {
     let up = Vector3::from(chosen.survey.imu.as_ref()?.mean_acceleration).try_normalize(1e-9)?;
     let tree = &inventory.tree;
-    let base =
-        ["base_link", "base_footprint"].into_iter().find(|b| are_on_one_robot(tree, b, chosen.frame()));
-    let scanner = || range.iter().map(Chosen::frame).find(|f| are_on_one_robot(tree, f, chosen.frame()));
-    let upright = base.or_else(|| scanner().filter(|_| dimension == Dimension::Two))?;
+    let upright = upright_frame(tree, chosen.frame(), range.iter().map(Chosen::frame), dimension)?;
     let up = tree.lookup_static(upright, chosen.frame())?.rotation * up;
     // Planar scanners and their robots may be upside down: turns about z change nothing but their sign.
     let upward = if dimension == Dimension::Two { up.z.abs() } else { up.z };
@@ -193,9 +186,7 @@ pub(super) fn choose_frame(
         };
     }
     let odometry_child = odometry_child(inventory, request);
-    // Also as `robot/base_link`.
-    let named = |base: &'static str| tree.frames().filter(move |f| f.rsplit('/').next() == Some(base));
-    let bases = || BASE_FRAMES.into_iter().flat_map(named).chain(odometry_child.as_deref());
+    let bases = || base_frames(tree).chain(odometry_child.as_deref());
     if let Some(frame) = imu.map(|i| i.frame().to_owned()).filter(|f| !f.is_empty()) {
         let same_place = |base: &&str| {
             tree.has_frame(base)
