@@ -30,8 +30,10 @@ pub(super) const BLOCKS: usize = 20;
 const ITERATIONS: u32 = 8;
 /// Differences beyond so many times their usual size count less.
 const LIMIT: f64 = 3.0;
-/// How far mounting and scale of an IMU may be off, radians and share (standard deviation).
+/// How far mounting and scale of an IMU may be off, radians and share (standard deviation) …
 const MOUNTING_SIGMA: f64 = 0.03;
+/// … and its mounting where nothing else is asked, so that it is not drawn to what the transforms say.
+const WIDE_MOUNTING_SIGMA: f64 = 0.5;
 /// Matches are wrong by so much besides what they say, radians: surfaces are not planes.
 const MATCH_ERROR: f64 = 1e-4;
 /// Differences may have such a fraction of the turns themselves (of root mean squares), or the two do not turn alike.
@@ -42,13 +44,18 @@ const UNKNOWNS: usize = 13;
 type Normal = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 type Unknowns = SVector<f64, UNKNOWNS>;
 
-/// An offset of clocks.
+/// An offset of clocks, and how the IMU is mounted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Lag {
     /// By how many seconds the IMU is stamped too late against the lidar.
     pub seconds: f64,
     /// Standard deviation of that, seconds.
     pub sigma: f64,
+    /// The rotation vector that turns what the gyroscope shows to what sweeps turn by, radians; little about axes about which they
+    /// did not turn.
+    pub misalignment: Vector3,
+    /// Standard deviation along it, radians.
+    pub misalignment_sigma: f64,
 }
 
 /// A turn that sweeps tell.
@@ -103,7 +110,7 @@ pub(super) fn find_lag(sweeps: &[TrackedSweep], gyroscope: &Gyroscope) -> Option
         equations = linearised(&turns, gyroscope, lag);
         let limit = LIMIT * usual(&equations, &unknowns)?;
         let blocks = normal_equations(&equations, &unknowns, limit);
-        unknowns = solve(&blocks, None)?;
+        unknowns = solve(&blocks, None, MOUNTING_SIGMA)?;
         let change = unknowns[0].clamp(-2.0 * STEP, 2.0 * STEP);
         lag += change;
         if change.abs() < 1e-5 {
@@ -115,13 +122,43 @@ pub(super) fn find_lag(sweeps: &[TrackedSweep], gyroscope: &Gyroscope) -> Option
         return None;
     }
     let blocks = normal_equations(&equations, &unknowns, limit);
-    let parts: Option<Vec<f64>> =
-        (0..blocks.len()).map(|left_out| Some(solve(&blocks, Some(left_out))?[0])).collect();
-    let parts = parts?;
-    let mean = parts.iter().sum::<f64>() / parts.len() as f64;
-    let squares: f64 = parts.iter().map(|part| (part - mean).powi(2)).sum();
-    let sigma = (squares * (parts.len() - 1) as f64 / parts.len() as f64).sqrt();
-    Some(Lag { seconds: lag, sigma })
+    let sigma = jackknife(without_each(&blocks, MOUNTING_SIGMA)?.iter().map(|part| part[0]));
+    let (misalignment, misalignment_sigma) = find_misalignment(&equations, unknowns)?;
+    Some(Lag { seconds: lag, sigma, misalignment, misalignment_sigma })
+}
+
+/// The rotation by which the gyroscope is mounted otherwise, and the standard deviation along it, radians.
+fn find_misalignment(equations: &[Equations], mut unknowns: Unknowns) -> Option<(Vector3, f64)> {
+    let mut blocks = Vec::new();
+    for _ in 0..ITERATIONS {
+        let limit = LIMIT * usual(equations, &unknowns)?;
+        blocks = normal_equations(equations, &unknowns, limit);
+        unknowns = solve(&blocks, None, WIDE_MOUNTING_SIGMA)?;
+    }
+    let mounting = mounting_of(&unknowns);
+    let along = |part: &Unknowns| mounting_of(part).dot(&mounting) / mounting.norm().max(1e-9);
+    Some((mounting, jackknife(without_each(&blocks, WIDE_MOUNTING_SIGMA)?.iter().map(along))))
+}
+
+/// What comes of all blocks but one, for each.
+fn without_each(blocks: &[(Normal, Unknowns)], mounting_sigma: f64) -> Option<Vec<Unknowns>> {
+    (0..blocks.len()).map(|left_out| solve(blocks, Some(left_out), mounting_sigma)).collect()
+}
+
+/// Standard deviation of a value by what it is without each block (block jackknife).
+fn jackknife(without: impl ExactSizeIterator<Item = f64> + Clone) -> f64 {
+    let count = without.len() as f64;
+    let mean = without.clone().sum::<f64>() / count;
+    let squares: f64 = without.map(|part| (part - mean).powi(2)).sum();
+    (squares * (count - 1.0) / count).sqrt()
+}
+
+/// The rotation in the matrix, as a rotation vector: its antisymmetric part is sin θ along the axis.
+fn mounting_of(unknowns: &Unknowns) -> Vector3 {
+    let matrix = |row: usize, column: usize| unknowns[4 + 3 * row + column];
+    let [x, y, z] = [(2, 1), (0, 2), (1, 0)].map(|(i, j)| 0.5 * (matrix(i, j) - matrix(j, i)));
+    let sine = Vector3::new(x, y, z);
+    sine.try_normalize(1e-12).map_or_else(Vector3::zeros, |axis| axis * sine.norm().min(1.0).asin())
 }
 
 /// The fraction of turns that is left (of root mean squares, weighted).
@@ -224,11 +261,20 @@ fn normal_equations(equations: &[Equations], unknowns: &Unknowns, limit: f64) ->
     blocks
 }
 
-fn solve(blocks: &[(Normal, Unknowns)], left_out: Option<usize>) -> Option<Unknowns> {
+/// Least squares with a prior of the matrix: of its antisymmetric part, which is a rotation, with this standard deviation.
+fn solve(blocks: &[(Normal, Unknowns)], left_out: Option<usize>, mounting_sigma: f64) -> Option<Unknowns> {
     let mut normal = Normal::identity() * 1e-9;
     let mut right = Unknowns::zeros();
-    for i in 4..UNKNOWNS {
-        normal[(i, i)] += 1.0 / (MOUNTING_SIGMA * MOUNTING_SIGMA);
+    let [of_scale, of_rotation] = [MOUNTING_SIGMA, mounting_sigma].map(|sigma| 1.0 / (sigma * sigma));
+    for (row, column) in (0..3).flat_map(|row| (0..3).map(move |column| (row, column))) {
+        let [one, other] = [(row, column), (column, row)].map(|(i, j)| 4 + 3 * i + j);
+        match row == column {
+            true => normal[(one, one)] += of_scale,
+            false => {
+                normal[(one, one)] += 0.5 * (of_scale + of_rotation);
+                normal[(one, other)] += 0.5 * (of_scale - of_rotation);
+            }
+        }
     }
     for (_, (block, block_right)) in blocks.iter().enumerate().filter(|(i, _)| Some(*i) != left_out) {
         normal += block;

@@ -9,8 +9,8 @@ mod tracker;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-use portolan_diagnose::{ClockOffset, ImuComparison, ImuMounting};
-use portolan_geometry::Duration;
+use portolan_diagnose::{ClockOffset, ImuComparison, ImuMisalignment, ImuMounting};
+use portolan_geometry::{Duration, Vector3};
 use portolan_ingest::{IngestError, IngestOptions, Ingestion, Inventory, PlannedRange, SensorPlan, plan};
 use portolan_recording::Recording;
 use portolan_sensor::{ImuData, Measurement, SensorId, SensorKind, TimedPointCloudData};
@@ -116,6 +116,21 @@ pub fn common_offset(offsets: &[ClockOffset]) -> Option<ClockOffset> {
     offsets.iter().all(agrees).then(|| best.clone())
 }
 
+/// A misalignment is corrected that is larger than this, radians, and than so many standard deviations: sensors are mounted a degree or
+/// two off, and what moves beside the lidar seems to turn it.
+const LEAST_MISALIGNMENT: f64 = 0.035;
+const SURE_SIGMAS: f64 = 6.0;
+/// Lidars tell the same one if they differ by no more than this, radians.
+const SAME_MISALIGNMENT: f64 = 0.02;
+
+/// The misalignment of the IMU that all lidars tell, if it is beyond doubt; each with its standard deviation.
+fn common_misalignment(told: &[(Vector3, f64)]) -> Option<(Vector3, f64)> {
+    let (rotation, sigma) = *told.iter().min_by(|a, b| a.1.total_cmp(&b.1))?;
+    let is_sure = rotation.norm() > LEAST_MISALIGNMENT.max(SURE_SIGMAS * sigma);
+    let agrees = |other: &(Vector3, f64)| (other.0 - rotation).norm() < SAME_MISALIGNMENT;
+    (is_sure && told.iter().all(agrees)).then_some((rotation, sigma))
+}
+
 /// All sensors while the recording is read.
 struct Clocks {
     gyroscope: Gyroscope,
@@ -188,6 +203,7 @@ impl Clocks {
     fn finish(mut self, plan: &SensorPlan) -> Measured {
         let Some(imu) = &plan.imu else { return Measured::default() };
         let (mut offsets, mut mountings, mut turns_alike) = (Vec::new(), Vec::new(), true);
+        let mut misalignments = Vec::new();
         for range in &plan.range {
             let Some(lidar) = self.lidars.get_mut(&range.source.sensor) else { continue };
             lidar.track(&self.gyroscope, 0);
@@ -195,6 +211,7 @@ impl Clocks {
             mountings.push(mounting::find_mounting(&turns, &self.gyroscope));
             turns_alike &= mounting::turns_alike(&turns, &self.gyroscope);
             let Some(found) = lag::find_lag(&lidar.tracked, &self.gyroscope) else { continue };
+            misalignments.push((found.misalignment, found.misalignment_sigma));
             offsets.push(ClockOffset {
                 lidar: range.source.topic.clone(),
                 imu: imu.source.topic.clone(),
@@ -207,7 +224,13 @@ impl Clocks {
         let mounting = mountings.into_iter().reduce(|all, one| all.and(one)).flatten();
         let mounting =
             mounting.map(|(turned, factor)| ImuMounting { imu: imu.source.topic.clone(), turned, factor });
-        let comparison = ImuComparison { offsets, mounting };
+        let is_told = mounting.is_none() && misalignments.len() == plan.range.len();
+        let common = if is_told { common_misalignment(&misalignments) } else { None };
+        let misalignment = common.map(|(rotation, sigma)| {
+            let imu = imu.source.topic.clone();
+            ImuMisalignment { imu, rotation, sigma }
+        });
+        let comparison = ImuComparison { offsets, mounting, misalignment };
         let usual_rate = self.gyroscope.usual_rate();
         Measured { comparison, imu: Some(imu.source.topic.clone()), turns_alike, usual_rate }
     }
@@ -241,6 +264,21 @@ mod tests {
     fn offset(seconds: f64, sigma: f64) -> ClockOffset {
         let (lidar, imu) = ("/points".into(), "/imu".into());
         ClockOffset { lidar, imu, seconds, sigma, has_point_times: true }
+    }
+
+    #[test]
+    fn a_misalignment_is_corrected_where_all_lidars_say_so() {
+        let degrees = |told: &[(f64, f64)]| {
+            let told: Vec<(Vector3, f64)> =
+                told.iter().map(|(d, s)| (Vector3::x() * d.to_radians(), s.to_radians())).collect();
+            common_misalignment(&told).map(|(rotation, _)| rotation.norm().to_degrees().round())
+        };
+        assert_eq!(degrees(&[(10.0, 0.6)]), Some(10.0));
+        assert_eq!(degrees(&[(9.5, 0.9), (10.0, 0.6)]), Some(10.0));
+        assert_eq!(degrees(&[(10.0, 2.0)]), None);
+        assert_eq!(degrees(&[(1.9, 0.1)]), None);
+        assert_eq!(degrees(&[(0.0, 0.1), (10.0, 0.2)]), None);
+        assert_eq!(degrees(&[]), None);
     }
 
     #[test]

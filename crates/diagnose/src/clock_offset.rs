@@ -1,9 +1,10 @@
 //! What was measured of an IMU by matching sweeps of a lidar, the offset of its clock and how it turns, and what is said of it.
 
+use portolan_geometry::Vector3;
 use std::sync::Arc;
 
 use crate::finding::Findings;
-use crate::rotation::{mounting_finding, offset_finding};
+use crate::rotation::{misalignment_finding, mounting_finding, offset_finding};
 
 /// The offset between the clocks of a lidar and an IMU.
 #[derive(Clone, Debug, PartialEq)]
@@ -53,6 +54,29 @@ pub struct ImuComparison {
     pub offsets: Vec<ClockOffset>,
     /// How the IMU turns, where all lidars tell that it does not turn as they do.
     pub mounting: Option<ImuMounting>,
+    /// By how little it is mounted otherwise than the transforms say, where it turns as they do and that is beyond doubt.
+    pub misalignment: Option<ImuMisalignment>,
+}
+
+/// An IMU that is mounted a few degrees otherwise than the transforms say.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImuMisalignment {
+    /// Its topic.
+    pub imu: Arc<str>,
+    /// The rotation vector that turns what it measures to what the transforms say, in the tracking frame, radians.
+    pub rotation: Vector3,
+    /// Standard deviation of its length, radians.
+    pub sigma: f64,
+}
+
+impl std::fmt::Display for ImuMisalignment {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let [degrees, sigma] = [self.rotation.norm(), self.sigma].map(f64::to_degrees);
+        write!(
+            f,
+            "is mounted {degrees:.1}° (sigma {sigma:.1}°) otherwise than the transforms say, as turns of the lidar show"
+        )
+    }
 }
 
 impl ImuComparison {
@@ -60,6 +84,9 @@ impl ImuComparison {
         self.offsets.iter().for_each(|offset| offset.tell(findings));
         if let Some(mounting) = &self.mounting {
             findings.push(mounting_finding(&mounting.imu, mounting));
+        }
+        if let Some(misalignment) = &self.misalignment {
+            findings.push(misalignment_finding(&misalignment.imu, misalignment));
         }
     }
 }
@@ -73,6 +100,16 @@ pub struct ImuMounting {
     pub turned: f64,
     /// How many times as fast as the lidar it turns; negative if the other way round.
     pub factor: f64,
+}
+
+/// How many times as fast a gyroscope seems to turn that is in degrees per second: 57.3 times, as good as scans tell.
+const DEGREES: std::ops::Range<f64> = 50.0..65.0;
+
+impl ImuMounting {
+    /// Whether nothing is wrong but the unit of angular velocities: they are in degrees per second.
+    pub fn is_in_degrees(&self) -> bool {
+        self.turned == 0.0 && DEGREES.contains(&self.factor)
+    }
 }
 
 impl std::fmt::Display for ImuMounting {

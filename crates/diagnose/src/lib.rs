@@ -17,6 +17,7 @@ mod odometry_held;
 mod offset;
 mod rotation;
 mod scan_comparison;
+mod scan_gyroscope;
 mod scan_motion;
 mod scan_turns;
 mod scans;
@@ -26,7 +27,7 @@ mod turns;
 
 pub use beam_times::ScanDuration;
 pub use check::{CheckReport, check, check_with_clocks};
-pub use clock_offset::{ClockOffset, ImuComparison, ImuMounting};
+pub use clock_offset::{ClockOffset, ImuComparison, ImuMisalignment, ImuMounting};
 pub use finding::{Finding, findings_to_text};
 pub use histogram::Histogram;
 pub use info::{PlanDescription, RecordingInfo, TopicDescription, info};

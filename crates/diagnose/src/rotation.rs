@@ -9,7 +9,7 @@
 use portolan_geometry::Time;
 use portolan_issue::Severity;
 
-use crate::clock_offset::ImuMounting;
+use crate::clock_offset::{ImuMisalignment, ImuMounting};
 use crate::finding::{Finding, Findings};
 use crate::offset::{Offset, clock_offset};
 
@@ -285,6 +285,17 @@ pub(super) fn mounting_finding(imu: &str, mounting: &ImuMounting) -> Finding {
         format!("it {mounting}"),
         "turns are predicted and sweeps de-skewed wrongly, and level may be wrong: map leaves the IMU out",
         "look at the transform from the lidar to the IMU, the signs of its axes and its units (rad/s)",
+    )
+}
+
+/// What is said of an IMU that is mounted a few degrees otherwise than the transforms say.
+pub(super) fn misalignment_finding(imu: &str, misalignment: &ImuMisalignment) -> Finding {
+    finding(
+        imu,
+        Severity::Warning,
+        format!("it {misalignment}"),
+        "level would be wrong by as much: map turns what it measures, unless --imu names the IMU",
+        "correct the transform from the lidar to the IMU",
     )
 }
 

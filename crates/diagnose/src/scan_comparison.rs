@@ -14,11 +14,13 @@ use portolan_recording::{
 };
 
 use crate::beam_times::{ScanDuration, scan_duration};
+use crate::clock_offset::ImuMounting;
 use crate::finding::Findings;
 use crate::odometry::OdometryChecks;
 use crate::odometry_fault::OdometryFault;
 use crate::odometry_held::OdometryHold;
 use crate::rotation::{Turn, sure_offset};
+use crate::scan_gyroscope::ScanGyroscope;
 use crate::scan_motion::{ScanMotions, TimedMotion};
 use crate::scan_turns::ScanTurns;
 use crate::stamp_jitter::stamp_jitter;
@@ -32,7 +34,7 @@ const LEVEL: f64 = 0.9;
 /// An offset between the stamps of two sensors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorDelay {
-    /// By how many seconds scans are stamped too late against odometry.
+    /// By how many seconds scans are stamped too late against the other sensor.
     pub seconds: f64,
     /// Standard deviation of that, seconds.
     pub sigma: f64,
@@ -49,6 +51,10 @@ pub struct ScanComparison {
     pub hold: Option<OdometryHold>,
     /// Turns of odometry without those repeats.
     pub(crate) turns_without_repeats: Option<Vec<Turn>>,
+    /// How the clock of the IMU differs; none where nothing is surely wrong.
+    pub imu_delay: Option<SensorDelay>,
+    /// How the IMU turns, where it surely does not as scans do.
+    pub imu_fault: Option<ImuMounting>,
     /// Topics of scanners, and how long their scans take, where that is surely not what they say.
     pub durations: Vec<(Arc<str>, ScanDuration)>,
     /// Topics of scanners, and the standard deviation of their readings, metres.
@@ -60,7 +66,8 @@ pub struct ScanComparison {
 /// This share of the stamps of odometry is that of a scanner, where both come in one message.
 const SHARED_STAMPS: f64 = 0.9;
 
-/// Compares the scans of each scanner of the plan with each other, and those of the first with odometry, in the first ten minutes.
+/// Compares the scans of each scanner of the plan with each other, and those of the first with odometry and IMU, in the first ten
+/// minutes.
 /// Nothing is told of what the plan has not.
 ///
 /// # Errors
@@ -72,12 +79,14 @@ pub fn compare_scans(
 ) -> Result<ScanComparison, RecordingError> {
     let odometry = plan.odometry.as_ref().map(|odometry| &odometry.source);
     let mut wheels = Wheels { planned: plan.odometry.as_ref(), ..Wheels::default() };
+    let mut gyroscope = plan.imu.as_ref().map(ScanGyroscope::new);
     let mut scanners: Vec<Scanner> = plan.range.iter().map(Scanner::new).collect();
     let is_wanted = |topic: &TopicInfo| {
         plan.odometry.as_ref().is_some_and(|odometry| match odometry.topic() {
             Some(of_odometry) => *of_odometry == topic.topic,
             None => is_tf(&topic.type_name),
-        }) || plan.range.iter().any(|range| range.source.topic == topic.topic)
+        }) || plan.imu.as_ref().is_some_and(|imu| imu.source.topic == topic.topic)
+            || plan.range.iter().any(|range| range.source.topic == topic.topic)
     };
     let mut reader = read_without_repeats(recording, &is_wanted)?;
     let mut first = None;
@@ -86,6 +95,9 @@ pub fn compare_scans(
             break;
         }
         wheels.add(&message.topic, &message.message);
+        if let Some(gyroscope) = gyroscope.as_mut().filter(|g| g.planned.source.topic == message.topic) {
+            gyroscope.add(&message.message);
+        }
         for scanner in scanners.iter_mut().filter(|s| s.planned.source.topic == message.topic) {
             scanner.add(&message.message);
         }
@@ -105,16 +117,21 @@ pub fn compare_scans(
     }
     let orderly = scanners.iter().filter(|scanner| !scanner.has_disturbed_stamps());
     let durations: Vec<_> = orderly.filter_map(Scanner::wrong_duration).collect();
-    let of_odometry = match (odometry, scanners.into_iter().next()) {
-        (Some(odometry), Some(scanner)) => {
-            let found = durations.iter().find(|(topic, _)| *topic == scanner.planned.source.topic);
-            let seconds = found.map(|(_, found)| found.seconds).or(scanner.planned.scan_duration);
-            let seconds = seconds.unwrap_or(scanner.said_duration);
-            wheels.compare(inventory, odometry, (scanner, seconds))
+    let mut all = ScanComparison::default();
+    if let Some(scanner) = scanners.into_iter().next() {
+        let found = durations.iter().find(|(topic, _)| *topic == scanner.planned.source.topic);
+        let seconds = found.map(|(_, found)| found.seconds).or(scanner.planned.scan_duration);
+        let seconds = seconds.unwrap_or(scanner.said_duration);
+        if let Some(gyroscope) = gyroscope.filter(|_| !scanner.has_disturbed_stamps()) {
+            let turns = scanner.turns_in_the_middle(seconds);
+            let (fault, delay) = gyroscope.compare(inventory, (&scanner.planned.source.frame, &turns));
+            (all.imu_fault, all.imu_delay) = (fault, delay);
         }
-        _ => ScanComparison::default(),
-    };
-    Ok(ScanComparison { durations, noises, jitters, ..of_odometry })
+        if let Some(odometry) = odometry {
+            all = wheels.compare(inventory, odometry, (scanner, seconds), all);
+        }
+    }
+    Ok(ScanComparison { durations, noises, jitters, ..all })
 }
 
 /// What a scanner tells.
@@ -157,6 +174,13 @@ impl<'a> Scanner<'a> {
         }
         retime(&mut self.turns.turns, &self.times);
         Some(jitter)
+    }
+
+    /// Turns between the times of what scans saw, for scans that take so many seconds: in the mean that was measured in their
+    /// middle. They begin at their stamps, whichever beam comes first.
+    fn turns_in_the_middle(&self, seconds: f64) -> Vec<Turn> {
+        let middle = Duration::from_seconds(0.5 * seconds.abs());
+        self.turns.turns.iter().map(|(from, to, turn)| (*from + middle, *to + middle, *turn)).collect()
     }
 
     fn has_disturbed_stamps(&self) -> bool {
@@ -249,26 +273,20 @@ impl Wheels<'_> {
         self.checks.turns = turns.collect();
     }
 
-    /// Its clock and its motions against those of scans that take so many seconds.
+    /// Its clock and its motions against those of scans that take so many seconds, beside what else is known.
     fn compare(
         &mut self,
         inventory: &Inventory,
         odometry: &PlannedSensor,
         (scanner, seconds): (Scanner, f64),
+        known: ScanComparison,
     ) -> ScanComparison {
         let is_disturbed = scanner.has_disturbed_stamps();
         let source = &scanner.planned.source;
         let odometry_from_scanner = inventory.tree.lookup_static(&odometry.frame, &source.frame);
         let odometry_from_scanner = odometry_from_scanner.unwrap_or_else(Rigid3::identity);
         let up = (odometry_from_scanner.rotation * Vector3::z()).z;
-        // What a scan saw was, in the mean, measured in its middle. It begins at its stamp, whichever beam comes first.
-        let middle = Duration::from_seconds(0.5 * seconds.abs());
-        let mut turns: Vec<Turn> = scanner
-            .turns
-            .turns
-            .iter()
-            .map(|(from, to, turn)| (*from + middle, *to + middle, *turn))
-            .collect();
+        let mut turns = scanner.turns_in_the_middle(seconds);
         let mut motions: Vec<TimedMotion> = scanner.motions.motions().collect();
         if up < 0.0 {
             turn_over(&mut turns, &mut motions);
@@ -278,8 +296,8 @@ impl Wheels<'_> {
             self.leave_out_repeats(hold);
         }
         let offset = sure_offset(&self.checks.turns, &turns, false);
-        let known = (source.clock_shift - odometry.clock_shift).seconds();
-        let delay = offset.map(|(lag, sigma)| SensorDelay { seconds: lag + known, sigma });
+        let shift = (source.clock_shift - odometry.clock_shift).seconds();
+        let delay = offset.map(|(lag, sigma)| SensorDelay { seconds: lag + shift, sigma });
         let lag = offset.map_or(0.0, |(lag, _)| lag);
         let mut poses = TransformBuffer::default();
         self.poses.iter().for_each(|(time, pose)| poses.push(*time, *pose));
@@ -295,10 +313,10 @@ impl Wheels<'_> {
         let fault = is_level.then(find).flatten();
         if is_disturbed {
             let fault = fault.filter(|fault| *fault == OdometryFault::Stands);
-            return ScanComparison { fault, ..ScanComparison::default() };
+            return ScanComparison { fault, ..known };
         }
         let turns_without_repeats = hold.map(|_| std::mem::take(&mut self.checks.turns));
-        ScanComparison { delay, fault, hold, turns_without_repeats, ..ScanComparison::default() }
+        ScanComparison { delay, fault, hold, turns_without_repeats, ..known }
     }
 }
 

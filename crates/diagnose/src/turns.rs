@@ -18,7 +18,7 @@ const AXES: Kind = Kind {
 
 /// A correlation below this means that turns do not agree, one above that they do.
 const DISAGREES: f64 = 0.6;
-const AGREES: f64 = 0.85;
+pub(super) const AGREES: f64 = 0.85;
 
 /// So many turns of an IMU are kept.
 const MAX_TURNS: usize = 500_000;

@@ -79,7 +79,7 @@ pub(crate) fn imu(
     time: Time,
     message: &Imu,
     scale: ImuScale,
-    tracking_from_imu: &Rigid3,
+    tracking_from_imu: &Quaternion,
 ) -> Result<ImuData, ImuFault> {
     if is_partial(message) {
         return Err(ImuFault::Partial);
@@ -93,11 +93,10 @@ pub(crate) fn imu(
     if linear_acceleration.amax() > MAX_ACCELERATION || angular_velocity.amax() > MAX_ANGULAR_VELOCITY {
         return Err(ImuFault::Impossible);
     }
-    let rotation = tracking_from_imu.rotation;
     Ok(ImuData {
         time,
-        linear_acceleration: rotation * linear_acceleration,
-        angular_velocity: rotation * angular_velocity,
+        linear_acceleration: tracking_from_imu * linear_acceleration,
+        angular_velocity: tracking_from_imu * angular_velocity,
     })
 }
 

@@ -6,7 +6,7 @@ mod setup;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use portolan_geometry::{Duration, GeodeticPosition, Rigid3, Time};
+use portolan_geometry::{Duration, GeodeticPosition, Quaternion, Rigid3, Time};
 use portolan_issue::{Issue, IssueKind, IssueLog, Severity};
 use portolan_recording::{Message, RecordedMessage, Recording, RecordingError, TopicInfo};
 use portolan_sensor::{FixedRatioSampler, Measurement, SensorId};
@@ -25,6 +25,7 @@ use crate::point_time::PointTime;
 use crate::read_ahead::ReadAhead;
 use crate::recording_clock::RecordingClock;
 use crate::repeats::read_without_repeats;
+use crate::stuck_sample::StuckSample;
 use crate::survey::{Inventory, is_tf};
 use crate::sweep_stamps::SweepStamps;
 use crate::tf::{TfError, TfInput};
@@ -58,6 +59,9 @@ enum Role {
     },
     Imu {
         scale: ImuScale,
+        /// Turns what it measures in the tracking frame.
+        correction: Quaternion,
+        stuck: StuckSample,
     },
     Odometry {
         /// Where it is held back.

@@ -22,6 +22,7 @@ mod repeats;
 mod skew;
 mod statistics;
 mod steady_clock;
+mod stuck_sample;
 mod survey;
 mod sweep_stamps;
 #[cfg(test)]

@@ -177,6 +177,7 @@ kinds! {
     TimeIncrementWrong Info "scans whose time_increment makes no sense were taken as measured at once"
     SampleNotFinite Error "samples that are not a number were left out"
     SampleImpossible Error "samples beyond what an IMU can measure (80 rad/s, 400 m/s²) were left out"
+    SampleStuck Warning "samples that repeat the one before to the last digit, as all have for 0.1 s, were left out: nothing new was measured"
     SamplePartial Error "samples that say they lack acceleration or angular velocity were left out"
     InvalidPose Error "invalid poses were left out"
     QuaternionNormalised Info "quaternions of a wrong length were normalised"

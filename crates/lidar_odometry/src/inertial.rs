@@ -1,33 +1,21 @@
-//! The inertial filter: an error-state Kalman filter over pose, velocity, the biases of gyroscope and accelerometer, and
-//! gravity, all in the local map (Solà 2017, "Quaternion kinematics for the error-state Kalman filter"; with sweeps of a
-//! lidar: Xu and Zhang 2021, "FAST-LIO").
+//! The inertial filter in 3D: pose, velocity, biases and gravity, all in the local map ([`InertialEstimate`]), corrected by sweeps
+//! of a lidar (Xu and Zhang 2021, "FAST-LIO").
 //!
-//! From one sweep to the next the IMU moves the state on,
-//!
-//! ```text
-//! a = R (f − b_a) − g,   p ← p + ∫ v dt,   v ← v + ∫ a dt,   R ← R Exp(∫ (ω − b_ω) dt)
-//! ```
-//!
-//! with specific force f, turn rate ω and the force at rest g. Then the pose at which the sweep was registered corrects
-//! all of it, but not along degenerate directions. A platform that starts to move among trees is followed by the
+//! From one sweep to the next the IMU moves the state on. Then the pose at which the sweep was registered corrects all of it, but not along degenerate directions. A platform that starts to move among trees is followed by the
 //! accelerometer long before planes that its own beams drew while it stood let go of it.
 
-mod estimate;
 #[cfg(test)]
 mod tests;
 
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Quaternion, Rigid3, Time, Vector3, rotation_between};
+use portolan_motion::{ImuBuffer, InertialEntry, InertialEstimate, InertialNoise, Preintegrated};
 use portolan_numeric::CovarianceMatching;
 use portolan_sensor::ImuData;
 
-use crate::imu_buffer::ImuBuffer;
 use crate::registration::DegenerateDirections;
 use crate::segment::TrajectorySegment;
-use crate::settings::{
-    GyroscopeSettings, ImuSettings, InertialSettings, MotionPriorSettings, OdometrySettings,
-};
-use estimate::{Estimate, PLACE, Preintegrated, ROTATION, VELOCITY, worst_sigma};
+use crate::settings::{ImuSettings, InertialSettings, MotionPriorSettings, OdometrySettings};
 
 /// Gravity before it is estimated, m/s²: that of middle latitudes; 9.78 to 9.83 on Earth.
 const GRAVITY: f64 = 9.81;
@@ -45,7 +33,7 @@ const MAX_NOISE_FACTOR: f64 = 1e6;
 pub(crate) struct InertialPrediction {
     pub segment: TrajectorySegment,
     /// At its end.
-    estimate: Estimate,
+    estimate: InertialEstimate,
     measured: Preintegrated,
 }
 
@@ -79,7 +67,7 @@ pub(crate) struct PoseMeasurement<'a> {
 #[derive(Clone, Debug)]
 pub(crate) struct InertialFilter {
     settings: InertialSettings,
-    gyroscope: GyroscopeSettings,
+    errors: InertialNoise,
     imu: ImuSettings,
     prior: MotionPriorSettings,
     /// Standard deviation of registered places, metres: the noise of ranges.
@@ -91,7 +79,7 @@ pub(crate) struct InertialFilter {
     resting_error: f64,
     samples: ImuBuffer,
     last: Option<Time>,
-    estimate: Option<Estimate>,
+    estimate: Option<InertialEstimate>,
     /// How many times the variance of accelerations is what it is said to be.
     noise: CovarianceMatching,
 }
@@ -100,7 +88,15 @@ impl InertialFilter {
     pub fn new(settings: &OdometrySettings) -> Self {
         Self {
             settings: settings.inertial.clone(),
-            gyroscope: settings.gyroscope.clone(),
+            errors: InertialNoise {
+                turn: settings.gyroscope.noise,
+                turn_scale: settings.gyroscope.scale_error,
+                gyroscope_bias: settings.gyroscope.bias,
+                gyroscope_walk: settings.gyroscope.bias_walk,
+                acceleration: settings.inertial.acceleration_noise,
+                accelerometer_bias: settings.inertial.accelerometer_bias,
+                gravity_walk: settings.inertial.gravity_walk,
+            },
             imu: settings.imu.clone(),
             prior: settings.motion_prior.clone(),
             place_error: settings.plane_fit.range_noise,
@@ -127,7 +123,6 @@ impl InertialFilter {
 
     /// Begins at the end of the first sweep, where accelerations point up along a unit vector in the local map.
     pub fn begin(&mut self, time: Time, start: &InertialStart, up: &Vector3) {
-        let settings = &self.settings;
         let force = match start.force_at_rest {
             Some(strength) => (up * strength, self.resting_error),
             // A platform that speeds up while accelerations are averaged seems to lean.
@@ -137,7 +132,7 @@ impl InertialFilter {
             self.noise.distrust();
         }
         let rotation = start.local_from_tracking.rotation;
-        self.estimate = Some(Estimate::first(rotation, force, GRAVITY, settings, &self.gyroscope));
+        self.estimate = Some(InertialEstimate::first(rotation, force, GRAVITY, &self.errors));
         self.begin_anew(time, start);
     }
 
@@ -162,13 +157,13 @@ impl InertialFilter {
     /// Standard deviation of the velocity in its worst direction, m/s.
     pub fn velocity_sigma(&self) -> f64 {
         let most = self.settings.first_velocity;
-        self.estimate.as_ref().map_or(most, |e| worst_sigma(&e.covariance_of(VELOCITY)).min(most))
+        self.estimate.as_ref().map_or(most, |e| e.sigma_of(InertialEntry::Velocity).min(most))
     }
 
     /// Whether velocity and force at rest are known well enough for the accelerometer to be relied on.
     pub fn is_reliable(&self) -> bool {
         let settings = &self.settings;
-        let is_sure = |estimate: &Estimate| estimate.force_sigma() < settings.accelerometer_bias;
+        let is_sure = |estimate: &InertialEstimate| estimate.force_sigma() < settings.accelerometer_bias;
         self.velocity_sigma() < 0.5 * settings.first_velocity && self.estimate.as_ref().is_some_and(is_sure)
     }
 
@@ -213,12 +208,12 @@ impl InertialFilter {
     pub fn update(&mut self, end: Time, prediction: &InertialPrediction, measured: &PoseMeasurement<'_>) {
         let mut estimate = prediction.estimate.clone();
         let noise = self.noise.variance_factor();
-        estimate.propagate(&prediction.measured, noise, &self.settings, &self.gyroscope);
+        estimate.propagate(&prediction.measured, noise, &self.errors);
         self.correct_rotation(&mut estimate, measured);
         self.correct_place(&mut estimate, measured);
         if measured.is_standing {
             let innovation = -estimate.velocity;
-            estimate.correct(VELOCITY, &innovation, &square(self.standing_velocity));
+            estimate.correct(InertialEntry::Velocity, &innovation, &square(self.standing_velocity));
         }
         self.estimate = Some(estimate);
         self.last = Some(end);
@@ -226,20 +221,20 @@ impl InertialFilter {
     }
 
     /// The registered rotation tells the bias of the gyroscope, unless that measured something else altogether.
-    fn correct_rotation(&self, estimate: &mut Estimate, measured: &PoseMeasurement<'_>) {
+    fn correct_rotation(&self, estimate: &mut InertialEstimate, measured: &PoseMeasurement<'_>) {
         let innovation = estimate.rotation_to(&measured.local_from_tracking.rotation);
         let error = with_unknown(square(self.prior.least_rotation_error), &measured.degenerate.rotations);
-        let expected = estimate.covariance_of(ROTATION) + error;
+        let expected = estimate.covariance_of(InertialEntry::Rotation) + error;
         let is_possible = squared_mahalanobis(&innovation, &expected) < self.outlier_sigmas.powi(2);
         if !measured.gyroscope_holds || !is_possible {
-            estimate.forget(ROTATION, UNKNOWN);
+            estimate.forget(InertialEntry::Rotation, UNKNOWN);
         } else if !measured.tells_rotation {
             return;
         }
-        estimate.correct(ROTATION, &innovation, &error);
+        estimate.correct(InertialEntry::Rotation, &innovation, &error);
     }
 
-    fn correct_place(&mut self, estimate: &mut Estimate, measured: &PoseMeasurement<'_>) {
+    fn correct_place(&mut self, estimate: &mut InertialEstimate, measured: &PoseMeasurement<'_>) {
         let Some(attenuation) = measured.attenuation else { return };
         let innovation = measured.local_from_tracking.translation.vector - estimate.place;
         let known = square(self.place_error) + attenuation;
@@ -248,10 +243,11 @@ impl InertialFilter {
         // clock, axes or units may be wrong.
         let constrained = 3_usize.saturating_sub(measured.degenerate.translations.len());
         if constrained > 0 {
-            let squared = squared_mahalanobis(&innovation, &(estimate.covariance_of(PLACE) + error));
+            let squared =
+                squared_mahalanobis(&innovation, &(estimate.covariance_of(InertialEntry::Place) + error));
             self.noise.add_relative(squared / constrained as f64);
         }
-        estimate.correct(PLACE, &innovation, &error);
+        estimate.correct(InertialEntry::Place, &innovation, &error);
     }
 }
 

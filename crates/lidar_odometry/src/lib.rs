@@ -8,7 +8,6 @@ mod gap;
 mod gravity_initialisation;
 mod gyroscope;
 mod hypotheses;
-mod imu_buffer;
 mod inertial;
 mod initialise;
 mod innovations;

@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use portolan_config::Options;
-use portolan_diagnose::compare_scans;
-use portolan_geometry::{Dimension, NearFrame, Rigid3, Time, TransformBuffer};
+use portolan_diagnose::{ImuMounting, compare_scans};
+use portolan_geometry::{Dimension, NearFrame, Rigid3, Time, TransformBuffer, quaternion_from_angle_axis};
 use portolan_ingest::{
     AzimuthTimes, IngestError, IngestOptions, Ingestion, Inventory, RangeNoise, SensorPlan, StampPolicy, plan,
 };
@@ -173,7 +173,7 @@ pub fn prepare(
         plan = doubt_scans(recording, &inventory, ingest, plan)?;
     }
     if options.is_none() && plan.dimension == Dimension::Three {
-        plan = doubt_imu(recording, &inventory, ingest, plan)?;
+        plan = doubt_imu_in_space(recording, &inventory, ingest, plan)?;
     }
     let options = options.unwrap_or_else(|| match plan.dimension {
         Dimension::Two => automatic::options_2d(&plan, &plan.statistics()),
@@ -192,8 +192,8 @@ pub fn prepare(
     })
 }
 
-/// A plan in which the times of beams and the clock of the odometry are put right, or that leaves odometry out, where scans tell so.
-/// What somebody said of them stands.
+/// A plan in which the times of beams and the clocks of odometry and IMU are put right, or that leaves one of them out, where scans
+/// tell so. What somebody said of them stands.
 fn doubt_scans(
     recording: &dyn Recording,
     inventory: &Inventory,
@@ -201,6 +201,11 @@ fn doubt_scans(
     mut plan: SensorPlan,
 ) -> Result<SensorPlan, PipelineError> {
     let compared = compare_scans(recording, inventory, &plan)?;
+    if let Some(fault) = &compared.imu_fault {
+        plan = doubt_imu(fault, inventory, ingest, plan)?;
+    } else if let Some(delay) = compared.imu_delay.filter(|_| ingest.time_offsets.is_empty()) {
+        plan.delay_imu(delay.seconds, delay.sigma);
+    }
     for (topics, jitter) in compared.jitters.iter().filter(|_| ingest.stamps != StampPolicy::AsIs) {
         plan.doubt_stamps(topics, jitter);
     }
@@ -226,27 +231,49 @@ fn doubt_scans(
     Ok(plan)
 }
 
+/// A plan that leaves out an IMU that does not turn as the lidar does, unless somebody asked for it, or it is its unit alone.
+fn doubt_imu(
+    fault: &ImuMounting,
+    inventory: &Inventory,
+    ingest: &IngestOptions,
+    mut plan: SensorPlan,
+) -> Result<SensorPlan, PipelineError> {
+    if fault.is_in_degrees() {
+        plan.turn_in_degrees();
+        return Ok(plan);
+    }
+    let is_wanted = ingest.imu_topic.is_some() || ingest.use_imu == Some(true);
+    if !is_wanted {
+        // The frame of an IMU that nobody believes is no tracking frame: it need not even be upright.
+        let without = IngestOptions { use_imu: Some(false), ..ingest.clone() };
+        plan = portolan_ingest::plan(inventory, &without).map_err(IngestError::from)?;
+    }
+    plan.doubt_imu(&fault.imu, &fault.to_string(), is_wanted);
+    Ok(plan)
+}
+
 /// A plan in which the clock of the IMU is put right, or that leaves the IMU out, where turns of a lidar tell so. What somebody
 /// said of them stands.
-fn doubt_imu(
+fn doubt_imu_in_space(
     recording: &dyn Recording,
     inventory: &Inventory,
     ingest: &IngestOptions,
     mut plan: SensorPlan,
 ) -> Result<SensorPlan, PipelineError> {
-    let Some(imu) = plan.imu.as_ref().map(|imu| imu.source.topic.clone()) else { return Ok(plan) };
+    if plan.imu.is_none() {
+        return Ok(plan);
+    }
     let is_wanted = ingest.imu_topic.is_some() || ingest.use_imu == Some(true);
     if is_wanted && !ingest.time_offsets.is_empty() {
         return Ok(plan);
     }
     let compared = portolan_clocks::measure(recording, inventory, ingest, &mut |_| {});
-    if let Some(mounting) = compared.mounting {
-        if !is_wanted {
-            let tracking_frame = Some(plan.tracking_frame.to_string());
-            let without = IngestOptions { use_imu: Some(false), tracking_frame, ..ingest.clone() };
-            plan = portolan_ingest::plan(inventory, &without).map_err(IngestError::from)?;
-        }
-        plan.doubt_imu(&imu, &mounting.to_string(), is_wanted);
+    if let Some(misalignment) = compared.misalignment.as_ref().filter(|_| !is_wanted) {
+        let correction = quaternion_from_angle_axis(&misalignment.rotation);
+        plan.turn_imu(correction, &misalignment.to_string());
+    }
+    if let Some(mounting) = &compared.mounting {
+        plan = doubt_imu(mounting, inventory, ingest, plan)?;
     } else if let Some(offset) =
         portolan_clocks::common_offset(&compared.offsets).filter(|_| ingest.time_offsets.is_empty())
     {

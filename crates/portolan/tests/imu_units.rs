@@ -1,22 +1,24 @@
-//! Gyroscopes in degrees a second that turn so gently that their values could be radians.
+//! IMUs in other units, with other signs, and mounted otherwise than the transforms say, beside lidars that tell so.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use portolan::ingest::IngestOptions;
-use portolan::recording::{Message, RecordedMessage, RecordingError, RecordingWriter, create, open_all};
-use portolan::simulator::{Scenario3dOptions, Simulation3d};
+use portolan::geometry::{Vector3, quaternion_from_angle_axis};
+use portolan::ingest::{IngestOptions, PlannedImu};
+use portolan::recording::{Imu, Message, RecordedMessage, RecordingError, RecordingWriter, create, open_all};
+use portolan::simulator::{Scenario3dOptions, ScenarioOptions, Simulation, Simulation3d};
 use portolan::worlds::three_d::Scene3d;
+use portolan::worlds::two_d::Scene;
 
-/// Writes rates of the gyroscope that are so many times as large.
-struct Scaled {
+/// Writes other samples of the IMU.
+struct Changed {
     inner: Box<dyn RecordingWriter>,
-    factor: f64,
+    change: fn(&mut Imu),
 }
 
-impl RecordingWriter for Scaled {
+impl RecordingWriter for Changed {
     fn write(&mut self, message: &RecordedMessage) -> Result<(), RecordingError> {
         let mut message = message.clone();
         if let Message::Imu(imu) = &mut message.message {
-            imu.angular_velocity.iter_mut().for_each(|rate| *rate *= self.factor);
+            (self.change)(imu);
         }
         self.inner.write(&message)
     }
@@ -26,27 +28,73 @@ impl RecordingWriter for Scaled {
     }
 }
 
-/// Whether the IMU is used, and what is said of it, where its rates are so many times as large.
-fn planned(factor: f64) -> (bool, Vec<String>) {
+enum World {
+    Office,
+    Tunnel,
+    Museum,
+}
+
+/// The IMU as it is used, and what is said, where its samples are changed so.
+fn planned(world: &World, change: fn(&mut Imu)) -> (Option<PlannedImu>, Vec<String>) {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("drive.bag");
-    let mut options = Scenario3dOptions::new(Scene3d::Tunnel, 1, 1);
-    options.duration = Some(20.0);
-    for lidar in &mut options.lidars {
-        lidar.beams.columns = 450;
-    }
-    let mut writer = Scaled { inner: create(&bag, None).unwrap(), factor };
-    Simulation3d::new(options).unwrap().write_messages(&mut writer).unwrap();
+    let mut writer = Changed { inner: create(&bag, None).unwrap(), change };
+    let in_space = |scene| {
+        let mut options = Scenario3dOptions::new(scene, 1, 1);
+        options.duration = Some(20.0);
+        options.lidars.iter_mut().for_each(|lidar| lidar.beams.columns = 450);
+        Simulation3d::new(options).unwrap()
+    };
+    let written = match world {
+        World::Office => {
+            let options = ScenarioOptions { duration: Some(60.0), ..ScenarioOptions::new(Scene::Office, 3) };
+            Simulation::new(options).unwrap().write_messages(&mut writer)
+        }
+        World::Tunnel => in_space(Scene3d::Tunnel).write_messages(&mut writer),
+        World::Museum => in_space(Scene3d::Museum).write_messages(&mut writer),
+    };
+    written.unwrap();
     Box::new(writer).finish().unwrap();
     let recording = open_all(&[bag]).unwrap();
     let plan = portolan::pipeline::prepare(recording.as_ref(), &IngestOptions::default(), None).unwrap().plan;
-    (plan.imu.is_some(), plan.notices.into_iter().map(|notice| notice.what).collect())
+    (plan.imu, plan.notices.into_iter().map(|notice| notice.what).collect())
+}
+
+fn scale(imu: &mut Imu, factor: f64) {
+    imu.angular_velocity.iter_mut().for_each(|rate| *rate *= factor);
+}
+
+/// Ones that turn so gently that their values could be radians.
+#[test]
+fn a_gyroscope_in_degrees_is_told_by_turns_of_the_lidar() {
+    for world in [World::Tunnel, World::Office] {
+        let (imu, said) = planned(&world, |imu| scale(imu, 1f64.to_degrees()));
+        assert_eq!(imu.unwrap().scale.angular_velocity, 1f64.to_radians(), "{said:?}");
+        assert!(said.iter().any(|what| what.contains("in degrees per second")), "{said:?}");
+        let (imu, said) = planned(&world, |_| {});
+        assert_eq!(imu.unwrap().scale.angular_velocity, 1.0);
+        assert!(!said.iter().any(|what| what.contains("times as fast")), "{said:?}");
+    }
 }
 
 #[test]
-fn a_gyroscope_in_degrees_is_told_by_sweeps() {
-    let (is_used, said) = planned(1f64.to_degrees());
-    assert!(!is_used && said.iter().any(|what| what.contains("57.30 times as fast")), "{said:?}");
-    let (is_used, said) = planned(1.0);
-    assert!(is_used && !said.iter().any(|what| what.contains("times as fast")), "{said:?}");
+fn a_gyroscope_that_turns_the_other_way_than_planar_scans_is_left_out() {
+    let (imu, said) = planned(&World::Office, |imu| scale(imu, -1.0));
+    assert!(imu.is_none() && said.iter().any(|what| what.contains("turns the other way")), "{said:?}");
+}
+
+#[test]
+fn an_imu_that_is_mounted_askew_is_turned_as_the_lidar_shows() {
+    let (imu, said) = planned(&World::Museum, |imu| {
+        let askew = quaternion_from_angle_axis(&(Vector3::x() * 8f64.to_radians()));
+        for vector in [&mut imu.angular_velocity, &mut imu.linear_acceleration] {
+            *vector = (askew * Vector3::from(*vector)).into();
+        }
+    });
+    let left =
+        imu.unwrap().correction.inverse() * quaternion_from_angle_axis(&(Vector3::x() * -8f64.to_radians()));
+    assert!(left.angle().to_degrees() < 1.0, "{}: {said:?}", left.angle().to_degrees());
+    assert!(said.iter().any(|what| what.contains("otherwise than the transforms say")), "{said:?}");
+    let (imu, said) = planned(&World::Museum, |_| {});
+    assert_eq!(imu.unwrap().correction.angle(), 0.0, "{said:?}");
 }

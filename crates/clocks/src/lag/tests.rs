@@ -71,6 +71,21 @@ fn offsets_are_found_in_spite_of_bias_mounting_and_wrong_matches() {
 }
 
 #[test]
+fn misalignments_are_found_beside_offsets() {
+    let sweeps = sweeps(5e-4);
+    for degrees in [0.0, 5.0, -12.0] {
+        let mounted = quaternion_from_angle_axis(&Vector3::new(0.0, f64::to_radians(degrees), 0.0));
+        let Lag { misalignment, misalignment_sigma, .. } =
+            find_lag(&sweeps, &gyroscope_that(0.02, |rate| mounted * rate)).unwrap();
+        // The gyroscope is mounted a degree off in any case.
+        let all = quaternion_from_angle_axis(&Vector3::new(0.01, -0.01, 0.015)) * mounted;
+        let left = quaternion_from_angle_axis(&misalignment) * all;
+        assert!(left.angle().to_degrees() < 0.5, "{degrees}: {misalignment}");
+        assert!(misalignment_sigma.to_degrees() < 0.15, "{degrees}: {misalignment_sigma}");
+    }
+}
+
+#[test]
 fn poor_turns_are_unsure_and_others_than_those_of_the_gyroscope_tell_nothing() {
     let [good, poor] = [5e-4, 0.004].map(|noise| find_lag(&sweeps(noise), &gyroscope(0.0)).unwrap());
     assert!(poor.sigma > 5.0 * good.sigma && poor.seconds.abs() < 4.0 * poor.sigma, "{poor:?} {good:?}");

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use portolan_geometry::{Duration, Time};
+use portolan_geometry::{Duration, Quaternion, Time};
 use portolan_issue::IssueKind;
 use portolan_recording::{
     Imu, LandmarkList, Message, NavSatFix, Odometry, PointCloud2, PoseStamped, RecordedMessage, TfMessage,
@@ -78,9 +78,13 @@ impl Ingestion {
                 let turn = by_azimuth.as_mut().map(|turns| turns.at(stamp));
                 self.take_cloud(sensor, stamp, cloud, (point_time, turn), coordinates);
             }
-            (Role::Imu { scale }, Message::Imu(imu)) => {
-                let scale = *scale;
-                self.take_imu(sensor, stamp, imu, scale);
+            (Role::Imu { scale, correction, stuck }, Message::Imu(imu)) => {
+                let (scale, correction) = (*scale, *correction);
+                if stuck.is_stuck(stamp, imu) {
+                    self.count(&sensor.topic, stamp, IssueKind::SampleStuck, 1);
+                } else {
+                    self.take_imu(sensor, stamp, imu, (scale, correction));
+                }
             }
             (Role::Odometry { .. }, Message::Odometry(odometry)) => {
                 self.take_odometry(sensor, stamp, odometry)
@@ -177,9 +181,15 @@ impl Ingestion {
         self.give_points(sensor, points, &cloud.header.frame_id);
     }
 
-    fn take_imu(&mut self, sensor: &mut Sensor, stamp: Time, message: &Imu, scale: ImuScale) {
+    fn take_imu(
+        &mut self,
+        sensor: &mut Sensor,
+        stamp: Time,
+        message: &Imu,
+        (scale, correction): (ImuScale, Quaternion),
+    ) {
         let Some(pose) = self.tracking_from(&sensor.topic, &message.header.frame_id, stamp) else { return };
-        match convert::imu(stamp, message, scale, &pose) {
+        match convert::imu(stamp, message, scale, &(correction * pose.rotation)) {
             Err(ImuFault::NotFinite) => self.count(&sensor.topic, stamp, IssueKind::SampleNotFinite, 1),
             Err(ImuFault::Impossible) => {
                 self.count(&sensor.topic, stamp, IssueKind::SampleImpossible, 1);

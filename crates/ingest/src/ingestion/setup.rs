@@ -15,6 +15,7 @@ use crate::held_pose::HeldPose;
 use crate::options::SamplingRatios;
 use crate::plan::{PlanError, PlannedOdometry, PlannedRange, PlannedSensor, SensorPlan};
 use crate::point_time::PointTimeOrigin;
+use crate::stuck_sample::StuckSample;
 use crate::survey::Inventory;
 use crate::sweep_stamps::SweepStamps;
 use crate::turn_clock::TurnClock;
@@ -114,7 +115,10 @@ pub(super) fn sensors(
         );
     }
     if let Some(imu) = &plan.imu {
-        add(&imu.source, Role::Imu { scale: imu.scale });
+        add(
+            &imu.source,
+            Role::Imu { scale: imu.scale, correction: imu.correction, stuck: StuckSample::default() },
+        );
     }
     if let Some(PlannedOdometry { source, transforms_from: None }) = &plan.odometry {
         add(source, Role::Odometry { held: plan.longest_odometry_hold.map(HeldPose::new) });

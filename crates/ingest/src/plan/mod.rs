@@ -14,7 +14,7 @@ mod tracking;
 
 use std::sync::Arc;
 
-use portolan_geometry::{Dimension, Duration};
+use portolan_geometry::{Dimension, Duration, Quaternion};
 use portolan_issue::Severity;
 use portolan_sensor::{SensorId, SensorKind};
 
@@ -194,6 +194,8 @@ pub struct PlannedImu {
     pub source: PlannedSensor,
     /// What samples are multiplied by.
     pub scale: ImuScale,
+    /// Turns what it measures in the tracking frame, where it is mounted otherwise than the transforms say.
+    pub correction: Quaternion,
     /// What it is like.
     pub statistics: ImuStatistics,
 }
@@ -329,6 +331,28 @@ impl SensorPlan {
         range.range_noise = Some(sigma);
         let what = format!("readings of {topic} have noise of {sigma:.3} m: they are smoothed along walls");
         self.note(what, "--range-noise 0");
+    }
+
+    /// Turns what the IMU measures, in the tracking frame, since it `is_mounted` otherwise than the transforms say, and says so.
+    pub fn turn_imu(&mut self, correction: Quaternion, is_mounted: &str) {
+        let Some(imu) = &mut self.imu else { return };
+        imu.correction = correction;
+        let topic = imu.source.topic.clone();
+        let what = format!("the IMU {topic} {is_mounted}: what it measures is turned by that");
+        self.warn(what, format!("--imu {topic}"));
+    }
+
+    /// Takes angular velocities of the IMU to be in degrees per second, and says so.
+    pub fn turn_in_degrees(&mut self) {
+        let Some(imu) = &mut self.imu else { return };
+        imu.scale.angular_velocity = 1_f64.to_radians();
+        let topic = imu.source.topic.clone();
+        self.note_degrees(&topic);
+    }
+
+    fn note_degrees(&mut self, topic: &str) {
+        let what = "measures angular velocities in degrees per second; they are multiplied by π/180";
+        self.note(format!("{topic} {what}"), "");
     }
 
     /// Says that an IMU does not turn as the lidar does (`how`), and whether it is used all the same.

@@ -2,7 +2,7 @@
 
 use std::cmp::Reverse;
 
-use portolan_geometry::{Dimension, Vector3};
+use portolan_geometry::{Dimension, Quaternion, Vector3};
 use portolan_issue::Severity;
 use portolan_sensor::SensorKind;
 
@@ -257,8 +257,7 @@ pub(super) fn connect_imu(
         plan.note(format!("{topic} measures accelerations in g; they are multiplied by {GRAVITY}"), "");
     }
     if scale.angular_velocity != 1.0 {
-        let what = "measures angular velocities in degrees per second; they are multiplied by π/180";
-        plan.note(format!("{topic} {what}"), "");
+        plan.note_degrees(&topic);
     }
     let distance =
         inventory.tree.lookup_static(&tracking, &frame).map_or(0.0, |t| t.translation.vector.norm());
@@ -270,6 +269,7 @@ pub(super) fn connect_imu(
     }
     let source = chosen.planned(SensorKind::Imu, &frame);
     let statistics = chosen.survey.imu.clone().unwrap_or_default();
-    plan.imu = Some(PlannedImu { source, scale, statistics });
+    let correction = Quaternion::identity();
+    plan.imu = Some(PlannedImu { source, scale, correction, statistics });
     Ok(())
 }

@@ -20,6 +20,7 @@ use super::belief::Belief;
 use super::co_moving::CoMoving;
 use super::dead_reckoning::DeadReckoning;
 use super::gather::{Accumulation, gravity_aligned, unwarp};
+use super::level::LevelFilter;
 use super::start::{NEAR, Role, Velocity};
 use super::tracking::Tracker;
 use crate::{
@@ -30,6 +31,9 @@ use crate::{
 /// An odometry source that reported nothing for so long is not waited for.
 const ODOMETRY_TIMEOUT: Duration = Duration::from_ticks(50_000_000);
 
+/// Accelerations are averaged over this time where the level filter gives them, seconds: not at all.
+const LEVEL_AT_ONCE: f64 = 1e-6;
+
 /// How much newer the newest scan may be than one that still waits for odometry.
 const LONGEST_WAIT: Duration = Duration::from_ticks(20_000_000);
 
@@ -37,6 +41,7 @@ const LONGEST_WAIT: Duration = Duration::from_ticks(20_000_000);
 pub(super) struct FrontEnd {
     options: TrajectoryBuilder2dOptions,
     extrapolator: Option<PoseExtrapolator>,
+    level: LevelFilter,
     extras: LocalSlamExtras,
     tracker: Tracker,
     belief: Belief,
@@ -81,6 +86,7 @@ impl FrontEnd {
         Ok(Self {
             inserter: Arc::new(Inserter2d::new(&options.submaps).map_err(|e| contradiction(&e))?),
             extrapolator: None,
+            level: LevelFilter::default(),
             extras,
             belief: Belief::default(),
             usual_agreement: UsualAgreement::default(),
@@ -109,14 +115,16 @@ impl FrontEnd {
     fn start_extrapolator(&mut self, time: Time) -> &mut PoseExtrapolator {
         let options = &self.options.pose_extrapolator.constant_velocity;
         let use_all_odometry = self.extras.use_all_odometry;
+        // What the filter says of level holds at once.
+        let gravity_time_constant = match use_all_odometry {
+            true => LEVEL_AT_ONCE,
+            false => options.imu_gravity_time_constant,
+        };
         let waiting = &mut self.waiting_odometry;
         let velocity = self.start_velocity;
         self.extrapolator.get_or_insert_with(|| {
-            let mut extrapolator = PoseExtrapolator::new(
-                options.pose_queue_duration,
-                options.imu_gravity_time_constant,
-                use_all_odometry,
-            );
+            let mut extrapolator =
+                PoseExtrapolator::new(options.pose_queue_duration, gravity_time_constant, use_all_odometry);
             pieces::begin_anew(&mut extrapolator, time, Rigid3::identity(), velocity);
             for odometry in waiting.drain(..) {
                 let _ = extrapolator.add_odometry(&odometry);
@@ -189,8 +197,9 @@ impl FrontEnd {
         if !self.options.use_imu_data {
             return;
         }
+        let levelled = if self.extras.use_all_odometry { self.level.add_imu(data) } else { *data };
         let extrapolator = self.start_extrapolator(data.time);
-        if extrapolator.add_imu(data).is_err() {
+        if extrapolator.add_imu(&levelled).is_err() {
             self.count(IssueKind::ImuSampleTooOld, data.time);
         }
     }

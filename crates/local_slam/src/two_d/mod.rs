@@ -8,6 +8,7 @@ mod degeneracy;
 mod front_end;
 mod gather;
 mod hypotheses;
+mod level;
 mod motion;
 mod odometry_failure;
 mod odometry_scale;

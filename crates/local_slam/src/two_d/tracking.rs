@@ -45,6 +45,8 @@ pub(super) struct Found {
     pub pose: Rigid2,
     /// It was found far from its prediction.
     pub is_far: bool,
+    /// The scan, or odometry, told where it is in the plane; nothing was taken for granted.
+    pub tells_place: bool,
     /// How the map agrees with the scan there; none where the grid does not tell.
     pub agreement: Option<ScanAgreement>,
 }
@@ -220,7 +222,7 @@ impl Tracker {
             self.usual_score.add(score);
         }
         if !found.pose.is_finite() {
-            return Found { pose: prediction, is_far: false, agreement: None };
+            return Found { pose: prediction, is_far: false, tells_place: false, agreement: None };
         }
         // 3. Weigh it with the prediction.
         let is_open = weak.is_some() || scan.witnesses.are_few();
@@ -251,7 +253,7 @@ impl Tracker {
         if let Some(agreement) = &agreement {
             self.beam_evidence.add(agreement);
         }
-        Found { pose, is_far, agreement }
+        Found { pose, is_far, tells_place: !is_open || motion.is_measured(), agreement }
     }
 
     /// Where the scan is if odometry, which tells this, rather fails than works.

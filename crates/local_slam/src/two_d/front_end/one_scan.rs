@@ -52,6 +52,8 @@ impl FrontEnd {
         }
         let local_from_tracking = embed_3d(&pose) * gravity;
         self.extrapolator.as_mut()?.add_pose(time, local_from_tracking);
+        let tells_place = found.tells_place && self.belief == Belief::Sure;
+        self.level.add_pose(time, &local_from_tracking, tells_place);
         // 5. Insert.
         let range_data_in_local = scan.transformed(&to_f32(&embed_3d(&pose)));
         let inserted = if let Belief::Doubtful { .. } = self.belief {
@@ -140,7 +142,8 @@ impl FrontEnd {
             unseen.and_then(|motion| self.found_after_gap(time, motion, cloud)).unwrap_or(*prediction);
         let submap = self.active_submaps.matching_submap();
         let scan = submap.map(|submap| Scan::new(cloud, returns, submap));
-        Found { pose: self.tracker.match_scan(prediction, scan, cloud), is_far: false, agreement: None }
+        let pose = self.tracker.match_scan(prediction, scan, cloud);
+        Found { pose, is_far: false, tells_place: true, agreement: None }
     }
 
     /// Where the scan fits when time has passed with nothing measured: the old velocity tells nothing then.

@@ -1,19 +1,19 @@
-//! IMU samples between two sweeps.
+//! IMU samples between two scans.
 
 use portolan_geometry::Time;
 use portolan_sensor::ImuData;
 
-/// So many samples are kept while no sweep comes: 100 s at 200 Hz.
+/// So many samples are kept while no scan comes: 100 s at 200 Hz.
 const MAX_SAMPLES: usize = 20_000;
 
-/// Samples since the last sweep, and the last one before.
+/// Samples since the last scan, and the last one before.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct ImuBuffer {
+pub struct ImuBuffer {
     samples: Vec<ImuData>,
 }
 
 impl ImuBuffer {
-    /// Takes a sample, in order of time. Without sweeps nothing is integrated; then samples are forgotten, and the gap is
+    /// Takes a sample, in order of time. Without scans nothing is integrated; then samples are forgotten, and the gap is
     /// noticed.
     pub fn push(&mut self, data: &ImuData) {
         if self.samples.len() >= MAX_SAMPLES {

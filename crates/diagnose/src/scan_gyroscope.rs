@@ -1,0 +1,52 @@
+//! Whether a gyroscope turns about the axis of a planar scanner as scans do, and by how much the two are stamped apart.
+
+use portolan_geometry::{Rigid3, Vector3};
+use portolan_ingest::{Inventory, PlannedImu};
+use portolan_recording::Message;
+
+use crate::clock_offset::ImuMounting;
+use crate::rotation::{ENOUGH_TURNS, Turn, compare, sure_offset};
+use crate::scan_comparison::SensorDelay;
+use crate::turns::{AGREES, ImuTurns};
+
+/// It turns as fast as scans if within these factors: what slips by between two profiles makes theirs smaller.
+const AS_FAST: std::ops::RangeInclusive<f64> = 0.75..=1.33;
+
+/// What an IMU tells.
+pub(crate) struct ScanGyroscope<'a> {
+    pub planned: &'a PlannedImu,
+    turns: ImuTurns,
+}
+
+impl<'a> ScanGyroscope<'a> {
+    pub fn new(planned: &'a PlannedImu) -> Self {
+        Self { planned, turns: ImuTurns::default() }
+    }
+
+    pub fn add(&mut self, message: &Message) {
+        if let Message::Imu(imu) = message {
+            self.turns.add(imu);
+        }
+    }
+
+    /// How it turns otherwise than scans, whose frame and turns are given, where it surely does; and by how many seconds scans are
+    /// stamped too late against it, where they surely are.
+    pub fn compare(
+        &self,
+        inventory: &Inventory,
+        (scanner, turns): (&str, &[Turn]),
+    ) -> (Option<ImuMounting>, Option<SensorDelay>) {
+        let PlannedImu { source, scale, .. } = self.planned;
+        let imu_from_scanner = inventory.tree.lookup_static(&source.frame, scanner);
+        let axis = imu_from_scanner.unwrap_or_else(Rigid3::identity).rotation * Vector3::z();
+        let measured = self.turns.about(&(axis * scale.angular_velocity));
+        let Some(agreement) = compare(turns, &measured) else { return (None, None) };
+        let is_sure = agreement.turned >= ENOUGH_TURNS && agreement.correlation.abs() >= AGREES;
+        if is_sure && !AS_FAST.contains(&agreement.slope) {
+            let imu = source.topic.clone();
+            return (Some(ImuMounting { imu, turned: 0.0, factor: agreement.slope }), None);
+        }
+        let delay = sure_offset(&measured, turns, false);
+        (None, delay.map(|(seconds, sigma)| SensorDelay { seconds, sigma }))
+    }
+}

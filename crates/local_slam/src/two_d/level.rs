@@ -1,0 +1,256 @@
+//! Which way is up in the tracking frame, by an IMU beside matched scans.
+//!
+//! An accelerometer alone shows gravity and motion together, and what a gyroscope drifts by looks like a lean. Scans tell the motion in
+//! the plane: with it an inertial filter ([`InertialEstimate`]) tells the lean and the bias of the gyroscope apart from it. What the
+//! extrapolator is given is the turn rate without bias, and up as the filter knows it instead of the acceleration.
+
+use portolan_geometry::nalgebra::{Matrix3, Vector3 as Vector};
+use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3, quaternion_from_angle_axis};
+use portolan_motion::{ImuBuffer, InertialEntry, InertialEstimate, InertialNoise, Preintegrated};
+use portolan_numeric::CovarianceMatching;
+use portolan_sensor::ImuData;
+
+/// Gravity, m/s²: that of middle latitudes; what it differs by passes for a bias of the accelerometer.
+const GRAVITY: f64 = 9.81;
+/// Errors of IMUs, as in 3D.
+const NOISE: InertialNoise = InertialNoise {
+    turn: 0.001,
+    turn_scale: 0.0033,
+    gyroscope_bias: 0.02,
+    gyroscope_walk: 5e-5,
+    acceleration: 0.05,
+    accelerometer_bias: 0.1,
+    // The local map is level.
+    gravity_walk: 0.0,
+};
+/// Standard deviation of the lean that the mean of the first accelerations shows, radians: a platform that speeds up by 1 m/s².
+const FIRST_LEAN: f64 = 0.1;
+/// Standard deviation of a velocity that nothing tells, m/s: walkers, wheels.
+const UNKNOWN_VELOCITY: f64 = 2.0;
+/// Standard deviations of matched poses: along each axis, metres, and of the heading, radians …
+const PLACE: f64 = 0.03;
+const HEADING: f64 = 0.01;
+/// … and along each axis where most of it was predicted: errors of velocities that are smooth.
+const PREDICTED_PLACE: f64 = 0.3;
+/// Standard deviation of the height above the plane, metres: what is carried rises and sinks.
+const HEIGHT: f64 = 0.3;
+/// Standard deviation of a lean of which a scan tells nothing, radians.
+const UNKNOWN: f64 = 30.0;
+/// A pose that is so many standard deviations off is not where the motion led.
+const OUTLIER_SIGMAS: f64 = 5.0;
+/// The noise of an IMU is learned from about so many scans; beyond the factor it tells nothing.
+const LEARNED: CovarianceMatching = CovarianceMatching::new(20.0).within(1.0, 1e6);
+/// Without a sample for so long the motion in between is not known.
+const MAX_GAP: Duration = Duration::from_ticks(5_000_000);
+
+/// Follows which way is up.
+#[derive(Clone, Debug)]
+pub(super) struct LevelFilter {
+    phase: Phase,
+    samples: ImuBuffer,
+    last_sample: Option<ImuData>,
+    /// How many times the variances of accelerations, and of turn rates and the walk of their bias, are what they are said to be.
+    accelerations: CovarianceMatching,
+    turns: CovarianceMatching,
+}
+
+#[derive(Clone, Debug)]
+enum Phase {
+    /// Before the first scan: the sum of accelerations in the tracking frame of the first sample, and that of now in it.
+    Averaging { sum: Vector3, first_from_tracking: Quaternion },
+    /// As of the last scan, and as of the last sample.
+    Filtering { at_scan: Box<InertialEstimate>, time: Time, now: Box<InertialEstimate> },
+}
+
+impl Default for LevelFilter {
+    fn default() -> Self {
+        Self {
+            phase: Phase::Averaging { sum: Vector3::zeros(), first_from_tracking: Quaternion::identity() },
+            samples: ImuBuffer::default(),
+            last_sample: None,
+            accelerations: LEARNED,
+            turns: LEARNED,
+        }
+    }
+}
+
+impl LevelFilter {
+    /// Takes a sample, in order of time. Gives it without bias, and with up as it is known in place of the acceleration.
+    pub fn add_imu(&mut self, data: &ImuData) -> ImuData {
+        let last = self.last_sample.replace(*data);
+        self.samples.push(data);
+        let (up, bias) = match &mut self.phase {
+            Phase::Averaging { sum, first_from_tracking } => {
+                let seconds = last.map_or(0.0, |last| data.time.seconds_since(last.time));
+                let turn = quaternion_from_angle_axis(&(data.angular_velocity * seconds));
+                *first_from_tracking = Quaternion::new_normalize((*first_from_tracking * turn).into_inner());
+                *sum += *first_from_tracking * data.linear_acceleration;
+                (first_from_tracking.inverse() * *sum, Vector3::zeros())
+            }
+            Phase::Filtering { now, .. } => {
+                if let Some(last) = last {
+                    let span = (last.time, data.time);
+                    now.advance_along(&[last, *data], span, &mut Preintegrated::default());
+                }
+                (now.rotation.inverse() * Vector3::z(), now.gyroscope_bias)
+            }
+        };
+        let up = up.try_normalize(1e-9).unwrap_or_else(Vector3::z);
+        ImuData {
+            time: data.time,
+            linear_acceleration: up * GRAVITY,
+            angular_velocity: data.angular_velocity - bias,
+        }
+    }
+
+    /// Takes where a scan was matched; whether it tells the place, or most of that comes from the prediction.
+    pub fn add_pose(&mut self, time: Time, local_from_tracking: &Rigid3, tells_place: bool) {
+        if self.last_sample.is_none() {
+            return;
+        }
+        let at_scan = match &self.phase {
+            Phase::Averaging { .. } => {
+                let sigmas = [PLACE, FIRST_LEAN, UNKNOWN_VELOCITY];
+                InertialEstimate::in_level_map(local_from_tracking, sigmas, GRAVITY, &NOISE)
+            }
+            Phase::Filtering { at_scan, time: before, .. } => {
+                let mut estimate = (**at_scan).clone();
+                self.go_on(&mut estimate, (*before, time));
+                self.correct(&mut estimate, local_from_tracking, tells_place);
+                estimate
+            }
+        };
+        self.samples.forget_until(time);
+        let mut now = at_scan.clone();
+        if let Some(last) = self.last_sample.filter(|last| last.time > time) {
+            now.advance_along(self.samples.all(), (time, last.time), &mut Preintegrated::default());
+        }
+        self.phase = Phase::Filtering { at_scan: Box::new(at_scan), time, now: Box::new(now) };
+    }
+
+    /// From one scan to the next, as the IMU says.
+    fn go_on(&self, estimate: &mut InertialEstimate, (from, to): (Time, Time)) {
+        if to <= from {
+            return;
+        }
+        let samples = self.samples.all();
+        let mut measured = Preintegrated::default();
+        estimate.advance_along(samples, (from, to), &mut measured);
+        let turns = self.turns.sigma_factor();
+        let noise =
+            InertialNoise { turn: turns * NOISE.turn, gyroscope_walk: turns * NOISE.gyroscope_walk, ..NOISE };
+        estimate.propagate(&measured, self.accelerations.variance_factor(), &noise);
+        let times = || samples.iter().map(|sample| sample.time).filter(|t| (from..to).contains(t));
+        let mut last = from;
+        let has_gap = times().chain([to]).any(|time| time - std::mem::replace(&mut last, time) > MAX_GAP);
+        if has_gap {
+            estimate.forget(InertialEntry::Velocity, UNKNOWN_VELOCITY);
+            estimate.forget(InertialEntry::Rotation, FIRST_LEAN);
+        }
+    }
+
+    /// A matched pose tells place and heading.
+    fn correct(&mut self, estimate: &mut InertialEstimate, local_from_tracking: &Rigid3, tells_place: bool) {
+        let unknown = UNKNOWN * UNKNOWN;
+        let turn = estimate.rotation_to(&local_from_tracking.rotation);
+        let error = Matrix3::from_diagonal(&Vector::new(unknown, unknown, HEADING * HEADING));
+        let of_heading = estimate.covariance_of(InertialEntry::Rotation).m33 + HEADING * HEADING;
+        self.turns.add_relative(turn.z * turn.z / of_heading);
+        estimate.correct(InertialEntry::Rotation, &Vector3::new(0.0, 0.0, turn.z), &error);
+        let in_plane = if tells_place { PLACE } else { PREDICTED_PLACE };
+        let variances = Vector::new(in_plane * in_plane, in_plane * in_plane, HEIGHT * HEIGHT);
+        let error = Matrix3::from_diagonal(&variances);
+        let innovation = local_from_tracking.translation.vector - estimate.place;
+        let expected = estimate.covariance_of(InertialEntry::Place) + error;
+        let squared =
+            expected.try_inverse().map_or(f64::INFINITY, |inverse| innovation.dot(&(inverse * innovation)));
+        if tells_place {
+            self.accelerations.add_relative(squared / 3.0);
+        }
+        if squared > OUTLIER_SIGMAS * OUTLIER_SIGMAS {
+            // It went there otherwise: by a jump, or because it was elsewhere all along.
+            estimate.place = local_from_tracking.translation.vector;
+            estimate.velocity = Vector3::zeros();
+            estimate.forget(InertialEntry::Place, PLACE);
+            estimate.forget(InertialEntry::Velocity, UNKNOWN_VELOCITY);
+            return;
+        }
+        estimate.correct(InertialEntry::Place, &innovation, &error);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Round and round at 1.4 m/s on a radius of 2 m, so that accelerations lean by 6° in the mean of any time.
+    fn pose(t: f64) -> Rigid3 {
+        let angle = 0.7 * t;
+        let place = Vector3::new(2.0 * angle.cos(), 2.0 * angle.sin(), 0.0);
+        let lean = quaternion_from_angle_axis(&(Vector3::x() * 0.5));
+        Rigid3::from_parts(place.into(), quaternion_from_angle_axis(&(Vector3::z() * angle)) * lean)
+    }
+
+    fn sample(t: f64, bias: &Vector3) -> ImuData {
+        let Rigid3 { rotation, translation } = pose(t);
+        let force = Vector3::z() * GRAVITY - translation.vector * 0.49;
+        ImuData {
+            time: at(t),
+            linear_acceleration: rotation.inverse() * force,
+            angular_velocity: rotation.inverse() * Vector3::z() * 0.7 + bias,
+        }
+    }
+
+    fn at(t: f64) -> Time {
+        Time::from_ticks(0) + Duration::from_seconds(t)
+    }
+
+    /// The error of up after so many seconds, radians, and that of the turn rate, rad/s; and how far up was off at most since the
+    /// first half. Places are told in a share of the time alone.
+    fn after(seconds: f64, bias: Vector3, tells_place: impl Fn(f64) -> bool) -> (f64, f64, f64) {
+        let (mut filter, mut result) = (LevelFilter::default(), (0.0, 0.0, 0.0));
+        for i in 1..=(100.0 * seconds) as i32 {
+            let t = 0.01 * f64::from(i);
+            let data = filter.add_imu(&sample(t, &bias));
+            let up = pose(t).rotation.inverse() * Vector3::z();
+            let off = data.linear_acceleration.angle(&up);
+            let drift = (data.angular_velocity - up * 0.7).norm();
+            result = (off, drift, if t > 0.5 * seconds { off.max(result.2) } else { 0.0 });
+            if i % 10 == 0 {
+                filter.add_pose(at(t), &pose(t), tells_place(t));
+            }
+        }
+        result
+    }
+
+    #[test]
+    fn neither_curves_nor_a_biased_gyroscope_make_it_lean() {
+        // In such curves a bias of the accelerometer cannot be told from both: 0.1 m/s² are 0.6°.
+        let (off, drift, _) = after(10.0, Vector3::new(0.05, -0.04, 0.03), |_| true);
+        assert!(off.to_degrees() < 0.8 && drift < 0.01, "{off} {drift}");
+        let (off, ..) = after(3.0, Vector3::zeros(), |_| true);
+        assert!(off.to_degrees() < 1.0, "{off}");
+    }
+
+    #[test]
+    fn where_scans_tell_no_place_for_a_while_it_stays_level() {
+        let (_, _, most) = after(60.0, Vector3::new(0.01, 0.0, -0.01), |t| !(30.0..45.0).contains(&t));
+        assert!(most.to_degrees() < 0.5, "{most}");
+    }
+
+    #[test]
+    fn a_place_elsewhere_is_where_it_goes_on() {
+        let mut filter = LevelFilter::default();
+        for i in 1..=2000 {
+            let t = 0.01 * f64::from(i);
+            filter.add_imu(&sample(t, &Vector3::zeros()));
+            let elsewhere = if t > 15.0 { 100.0 } else { 0.0 };
+            if i % 10 == 0 {
+                filter.add_pose(at(t), &(Rigid3::translation(elsewhere, 0.0, 0.0) * pose(t)), true);
+            }
+        }
+        let up = filter.add_imu(&sample(20.01, &Vector3::zeros())).linear_acceleration;
+        let off = up.angle(&(pose(20.01).rotation.inverse() * Vector3::z()));
+        assert!(off.to_degrees() < 0.3, "{off}");
+    }
+}
