@@ -84,19 +84,26 @@ pub(crate) struct InertialFilter {
     noise: CovarianceMatching,
 }
 
+impl OdometrySettings {
+    /// Errors of the IMU as an inertial filter takes them.
+    pub fn inertial_noise(&self) -> InertialNoise {
+        InertialNoise {
+            turn: self.gyroscope.noise,
+            turn_scale: self.gyroscope.scale_error,
+            gyroscope_bias: self.gyroscope.bias,
+            gyroscope_walk: self.gyroscope.bias_walk,
+            acceleration: self.inertial.acceleration_noise,
+            accelerometer_bias: self.inertial.accelerometer_bias,
+            gravity_walk: self.inertial.gravity_walk,
+        }
+    }
+}
+
 impl InertialFilter {
     pub fn new(settings: &OdometrySettings) -> Self {
         Self {
             settings: settings.inertial.clone(),
-            errors: InertialNoise {
-                turn: settings.gyroscope.noise,
-                turn_scale: settings.gyroscope.scale_error,
-                gyroscope_bias: settings.gyroscope.bias,
-                gyroscope_walk: settings.gyroscope.bias_walk,
-                acceleration: settings.inertial.acceleration_noise,
-                accelerometer_bias: settings.inertial.accelerometer_bias,
-                gravity_walk: settings.inertial.gravity_walk,
-            },
+            errors: settings.inertial_noise(),
             imu: settings.imu.clone(),
             prior: settings.motion_prior.clone(),
             place_error: settings.plane_fit.range_noise,

@@ -6,23 +6,13 @@
 
 use portolan_geometry::nalgebra::{Matrix3, Vector3 as Vector};
 use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3, quaternion_from_angle_axis};
+use portolan_lidar_odometry::OdometrySettings;
 use portolan_motion::{ImuBuffer, InertialEntry, InertialEstimate, InertialNoise, Preintegrated};
 use portolan_numeric::CovarianceMatching;
 use portolan_sensor::ImuData;
 
 /// Gravity, m/s²: that of middle latitudes; what it differs by passes for a bias of the accelerometer.
 const GRAVITY: f64 = 9.81;
-/// Errors of IMUs, as in 3D.
-const NOISE: InertialNoise = InertialNoise {
-    turn: 0.001,
-    turn_scale: 0.0033,
-    gyroscope_bias: 0.02,
-    gyroscope_walk: 5e-5,
-    acceleration: 0.05,
-    accelerometer_bias: 0.1,
-    // The local map is level.
-    gravity_walk: 0.0,
-};
 /// Standard deviation of the lean that the mean of the first accelerations shows, radians: a platform that speeds up by 1 m/s².
 const FIRST_LEAN: f64 = 0.1;
 /// Standard deviation of a velocity that nothing tells, m/s: walkers, wheels.
@@ -49,6 +39,8 @@ pub(super) struct LevelFilter {
     phase: Phase,
     samples: ImuBuffer,
     last_sample: Option<ImuData>,
+    /// Errors of the IMU: as in 3D, but that the local map is level.
+    errors: InertialNoise,
     /// How many times the variances of accelerations, and of turn rates and the walk of their bias, are what they are said to be.
     accelerations: CovarianceMatching,
     turns: CovarianceMatching,
@@ -68,6 +60,7 @@ impl Default for LevelFilter {
             phase: Phase::Averaging { sum: Vector3::zeros(), first_from_tracking: Quaternion::identity() },
             samples: ImuBuffer::default(),
             last_sample: None,
+            errors: InertialNoise { gravity_walk: 0.0, ..OdometrySettings::default().inertial_noise() },
             accelerations: LEARNED,
             turns: LEARNED,
         }
@@ -75,9 +68,14 @@ impl Default for LevelFilter {
 }
 
 impl LevelFilter {
-    /// Takes a sample, in order of time. Gives it without bias, and with up as it is known in place of the acceleration.
+    /// Takes a sample, in order of time. Gives it without bias, and with up as it is known in place of the acceleration. One that is none
+    /// is given as it is.
     pub fn add_imu(&mut self, data: &ImuData) -> ImuData {
-        let last = self.last_sample.replace(*data);
+        let is_finite = data.linear_acceleration.iter().chain(&data.angular_velocity).all(|v| v.is_finite());
+        if !is_finite || self.last_sample.is_some_and(|last| data.time < last.time) {
+            return *data;
+        }
+        let last = self.last_sample.replace(*data).filter(|last| data.time - last.time <= MAX_GAP);
         self.samples.push(data);
         let (up, bias) = match &mut self.phase {
             Phase::Averaging { sum, first_from_tracking } => {
@@ -111,42 +109,46 @@ impl LevelFilter {
         let at_scan = match &self.phase {
             Phase::Averaging { .. } => {
                 let sigmas = [PLACE, FIRST_LEAN, UNKNOWN_VELOCITY];
-                InertialEstimate::in_level_map(local_from_tracking, sigmas, GRAVITY, &NOISE)
+                InertialEstimate::in_level_map(local_from_tracking, sigmas, GRAVITY, &self.errors)
             }
             Phase::Filtering { at_scan, time: before, .. } => {
                 let mut estimate = (**at_scan).clone();
-                self.go_on(&mut estimate, (*before, time));
-                self.correct(&mut estimate, local_from_tracking, tells_place);
+                if self.go_on(&mut estimate, (*before, time)) {
+                    self.correct(&mut estimate, local_from_tracking, tells_place);
+                } else {
+                    let sigmas = [PLACE, FIRST_LEAN, UNKNOWN_VELOCITY];
+                    estimate.moved_to(local_from_tracking, Vector3::zeros(), sigmas);
+                }
                 estimate
             }
         };
         self.samples.forget_until(time);
         let mut now = at_scan.clone();
-        if let Some(last) = self.last_sample.filter(|last| last.time > time) {
+        if let Some(last) = self.last_sample.filter(|last| last.time > time && last.time - time <= MAX_GAP) {
             now.advance_along(self.samples.all(), (time, last.time), &mut Preintegrated::default());
         }
         self.phase = Phase::Filtering { at_scan: Box::new(at_scan), time, now: Box::new(now) };
     }
 
-    /// From one scan to the next, as the IMU says.
-    fn go_on(&self, estimate: &mut InertialEstimate, (from, to): (Time, Time)) {
-        if to <= from {
-            return;
-        }
+    /// From one scan to the next, as the IMU says. Whether it says all of it: else nothing is changed.
+    fn go_on(&self, estimate: &mut InertialEstimate, (from, to): (Time, Time)) -> bool {
         let samples = self.samples.all();
+        let times = samples.iter().map(|sample| sample.time).filter(|time| (from..to).contains(time));
+        let mut last = from;
+        let has_gap = times.chain([to]).any(|time| time - std::mem::replace(&mut last, time) > MAX_GAP);
+        if to < from || has_gap {
+            return false;
+        }
         let mut measured = Preintegrated::default();
         estimate.advance_along(samples, (from, to), &mut measured);
         let turns = self.turns.sigma_factor();
-        let noise =
-            InertialNoise { turn: turns * NOISE.turn, gyroscope_walk: turns * NOISE.gyroscope_walk, ..NOISE };
+        let noise = InertialNoise {
+            turn: turns * self.errors.turn,
+            gyroscope_walk: turns * self.errors.gyroscope_walk,
+            ..self.errors
+        };
         estimate.propagate(&measured, self.accelerations.variance_factor(), &noise);
-        let times = || samples.iter().map(|sample| sample.time).filter(|t| (from..to).contains(t));
-        let mut last = from;
-        let has_gap = times().chain([to]).any(|time| time - std::mem::replace(&mut last, time) > MAX_GAP);
-        if has_gap {
-            estimate.forget(InertialEntry::Velocity, UNKNOWN_VELOCITY);
-            estimate.forget(InertialEntry::Rotation, FIRST_LEAN);
-        }
+        true
     }
 
     /// A matched pose tells place and heading.
@@ -252,5 +254,37 @@ mod tests {
         let up = filter.add_imu(&sample(20.01, &Vector3::zeros())).linear_acceleration;
         let off = up.angle(&(pose(20.01).rotation.inverse() * Vector3::z()));
         assert!(off.to_degrees() < 0.3, "{off}");
+    }
+
+    #[test]
+    fn samples_that_are_none_and_gaps_of_decades_do_no_harm() {
+        let mut filter = LevelFilter::default();
+        for i in 1..=1000 {
+            let t = 0.01 * f64::from(i);
+            filter.add_imu(&sample(t, &Vector3::zeros()));
+            let nothing = Vector3::repeat(f64::NAN);
+            assert!(
+                filter
+                    .add_imu(&ImuData { linear_acceleration: nothing, ..sample(t, &nothing) })
+                    .angular_velocity
+                    .x
+                    .is_nan()
+            );
+            filter.add_imu(&sample(t - 5.0, &Vector3::zeros()));
+            if i % 10 == 0 {
+                filter.add_pose(at(t), &pose(t), true);
+            }
+        }
+        let later = 2e9;
+        for i in 0..=100 {
+            let t = 10.0 + 0.01 * f64::from(i);
+            filter.add_imu(&ImuData { time: at(t + later), ..sample(t, &Vector3::zeros()) });
+            if i % 10 == 0 {
+                filter.add_pose(at(t + later), &pose(t), true);
+            }
+        }
+        let data = filter.add_imu(&ImuData { time: at(11.01 + later), ..sample(11.01, &Vector3::zeros()) });
+        let off = data.linear_acceleration.angle(&(pose(11.01).rotation.inverse() * Vector3::z()));
+        assert!(off.to_degrees() < 1.0, "{off}");
     }
 }
