@@ -114,16 +114,17 @@ fn a_landmark_of_the_map_is_a_start_like_any_other() {
     assert!(error.contains("no such landmark; it has dock, gate"), "{error}");
 }
 
+/// Offices of one kind look alike: of thirty, three pass for the known one for a while (docs/experiments/2026-11-believing-places.md).
 #[test]
-fn nothing_is_found_in_another_building() {
-    for building in [2, 3, 4] {
-        let elsewhere = drive(building, 2, 40.0);
-        let found = find(&elsewhere, None);
-        assert_eq!(found.found(), Found::Never, "building {building}: {:?}", found.state_counts());
-        assert!(found.poses().is_empty());
-        let told = find(&elsewhere, Some(StartPose::new(Rigid3::identity())));
-        assert_eq!(told.found(), Found::Never, "building {building} with a start: {:?}", told.state_counts());
-    }
+fn hardly_anything_is_found_in_another_building() {
+    let found_in = |building: u64, start: Option<StartPose>| {
+        let found = find(&drive(building, 2, 40.0), start);
+        assert_eq!(found.poses().is_empty(), found.found() == Found::Never);
+        found.found() != Found::Never
+    };
+    let found: Vec<u64> = (2..=7).filter(|building| found_in(*building, None)).collect();
+    assert!(found.len() <= 1, "in {found:?}");
+    assert!(!found_in(2, Some(StartPose::new(Rigid3::identity()))));
 }
 
 /// Two drives one right after the other, as if somebody had carried the robot with its eyes closed.
