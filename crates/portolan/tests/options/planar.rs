@@ -242,7 +242,7 @@ fn local_slam() -> Vec<Effect> {
             ["trajectory_builder_2d.motion_filter.max_distance_meters=100", "trajectory_builder_2d.motion_filter.max_time_seconds=100"];
         "trajectory_builder_2d.pose_extrapolator.use_imu_based", "false" => "true", Rises, contradictions;
         "trajectory_builder_2d.pose_extrapolator.constant_velocity.imu_gravity_time_constant", "0.1" => "100", Falls,
-            roll_after_leaning, ["trajectory_builder_2d.use_imu_data=true"];
+            roll_after_leaning, ["trajectory_builder_2d.use_imu_data=true", "portolan.use_all_odometry=false"];
         "trajectory_builder_2d.pose_extrapolator.constant_velocity.pose_queue_duration", "0.001" => "1", Falls, way_predicted;
         "portolan.use_all_odometry", "false" => "true", Falls, error_with_odometry;
         "portolan.wide_search_after_gap", "0" => "0.5", Falls, error_after_gap;
