@@ -446,7 +446,10 @@ fn an_imu_that_turns_the_wrong_way_is_left_out() {
         vec![message]
     });
     let out = text(&folder.path().join("out"));
-    let run = portolan_with_code(0, &["map", &text(&mirrored), "-o", &out, "--no-xray"]);
+    // The truth is of that frame; without an IMU that of the lidar would be tracked.
+    let frame = ["--tracking-frame", "imu_link"];
+    let run =
+        portolan_with_code(0, &[&["map", &text(&mirrored), "-o", &out, "--no-xray"][..], &frame].concat());
     assert!(run.stderr.contains("turns the other way than the lidar"), "{}", run.stderr);
     let estimate = read(&text(&Path::new(&out).join("trajectory.tum")));
     let errors = absolute_errors(&truth, &estimate, Association::default(), Alignment::Se3).unwrap();
