@@ -40,8 +40,10 @@ fn another_building_is_not_laid_over_the_known_one() {
     let (run, output) = mapped(&elsewhere, folder.path(), &[&from[..], &["--force"]].concat());
     assert_eq!(run.code, Some(4), "{} {}", run.stdout, run.stderr);
     assert!(output.join("map.pbstream").exists());
-    // A start in the middle of the known map says nothing better.
-    let (run, _) = mapped(&elsewhere, folder.path(), &[&from[..], &["--start", "0,0,0"]].concat());
+    // A start in the middle of the known map says nothing better. Simulated offices look so much alike that the one above passes then:
+    // how often they do is measured in docs/experiments/2026-11-believing-places.md.
+    let start = [&from[..], &["--start", "0,0,0"]].concat();
+    let (run, _) = mapped(&office("3").0, folder.path(), &start);
     assert_eq!(run.code, Some(4), "{} {}", run.stdout, run.stderr);
     assert!(run.stdout.contains("scans do not fit it where --start says"), "{}", run.stdout);
     assert!(run.stderr.contains("map.pbstream there is of an earlier run"), "{}", run.stderr);
