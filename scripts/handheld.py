@@ -140,7 +140,7 @@ class World:
         return cast(origins, np.ascontiguousarray(directions), self.low, self.high, self.boxes_low, self.boxes_high)
 
 
-@numba.njit(cache=True)
+@numba.njit
 def cast(origins, directions, low, high, boxes_low, boxes_high):
     ranges = np.empty(len(origins))
     for k in range(len(origins)):

@@ -283,7 +283,12 @@ pub(super) fn mounting_finding(imu: &str, mounting: &ImuMounting) -> Finding {
         imu,
         Severity::Error,
         format!("it {mounting}"),
-        "turns are predicted and sweeps de-skewed wrongly, and level may be wrong: map leaves the IMU out",
+        match mounting.is_in_degrees() {
+            true => "turns are taken for degrees per second: map multiplies them by π/180",
+            false => {
+                "turns are predicted and sweeps de-skewed wrongly, and level may be wrong: map leaves the IMU out"
+            }
+        },
         "look at the transform from the lidar to the IMU, the signs of its axes and its units (rad/s)",
     )
 }

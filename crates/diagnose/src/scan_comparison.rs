@@ -124,7 +124,7 @@ pub fn compare_scans(
         let seconds = seconds.unwrap_or(scanner.said_duration);
         if let Some(gyroscope) = gyroscope.filter(|_| !scanner.has_disturbed_stamps()) {
             let turns = scanner.turns_in_the_middle(seconds);
-            let (fault, delay) = gyroscope.compare(inventory, (&scanner.planned.source.frame, &turns));
+            let (fault, delay) = gyroscope.compare(inventory, (&scanner.planned.source, &turns));
             (all.imu_fault, all.imu_delay) = (fault, delay);
         }
         if let Some(odometry) = odometry {

@@ -1,7 +1,7 @@
 //! Whether a gyroscope turns about the axis of a planar scanner as scans do, and by how much the two are stamped apart.
 
 use portolan_geometry::{Rigid3, Vector3};
-use portolan_ingest::{Inventory, PlannedImu};
+use portolan_ingest::{Inventory, PlannedImu, PlannedSensor};
 use portolan_recording::Message;
 
 use crate::clock_offset::ImuMounting;
@@ -29,15 +29,15 @@ impl<'a> ScanGyroscope<'a> {
         }
     }
 
-    /// How it turns otherwise than scans, whose frame and turns are given, where it surely does; and by how many seconds scans are
+    /// How it turns otherwise than scans, whose scanner and turns are given, where it surely does; and by how many seconds scans are
     /// stamped too late against it, where they surely are.
     pub fn compare(
         &self,
         inventory: &Inventory,
-        (scanner, turns): (&str, &[Turn]),
+        (scanner, turns): (&PlannedSensor, &[Turn]),
     ) -> (Option<ImuMounting>, Option<SensorDelay>) {
         let PlannedImu { source, scale, .. } = self.planned;
-        let imu_from_scanner = inventory.tree.lookup_static(&source.frame, scanner);
+        let imu_from_scanner = inventory.tree.lookup_static(&source.frame, &scanner.frame);
         let axis = imu_from_scanner.unwrap_or_else(Rigid3::identity).rotation * Vector3::z();
         let measured = self.turns.about(&(axis * scale.angular_velocity));
         let Some(agreement) = compare(turns, &measured) else { return (None, None) };
@@ -47,6 +47,8 @@ impl<'a> ScanGyroscope<'a> {
             return (Some(ImuMounting { imu, turned: 0.0, factor: agreement.slope }), None);
         }
         let delay = sure_offset(&measured, turns, false);
-        (None, delay.map(|(seconds, sigma)| SensorDelay { seconds, sigma }))
+        // Stamps are compared as they were recorded.
+        let shift = (scanner.clock_shift - source.clock_shift).seconds();
+        (None, delay.map(|(lag, sigma)| SensorDelay { seconds: lag + shift, sigma }))
     }
 }
