@@ -96,7 +96,7 @@ mod tests {
             let t = t.seconds_since(start);
             Rigid3::from_parts((velocity * t).into(), truth(t).rotation)
         });
-        segment.rotation_is_measured = true;
+        segment.gyroscope_sigma = Some(0.0);
         let correction = segment.correction_to(&truth(0.1));
         let (to_end, to_map) = (segment.deskewing(&correction), segment.corrected(&correction));
         let fixed = na::Point3::new(5.0, 3.0, 1.0);

@@ -135,7 +135,7 @@ impl GapMotion {
         let (start, whole) = (predicted.start(), predicted.seconds().max(1e-9));
         let (mut place, mut rotation): (Vector3, Quaternion) = (start.translation.vector, start.rotation);
         let mut before = 0.0;
-        let is_measured = predicted.rotation_is_measured;
+        let is_measured = predicted.rotation_is_measured();
         predicted.clone().changed(|seconds, pose| {
             let step = seconds - before;
             let now = Velocities::between(&self.before, &self.after, 0.5 * (before + seconds) / whole);

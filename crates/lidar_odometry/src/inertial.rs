@@ -167,6 +167,17 @@ impl InertialFilter {
         self.estimate.as_ref().map_or(most, |e| e.sigma_of(InertialEntry::Velocity).min(most))
     }
 
+    /// Standard deviation about each axis of the rotation that the gyroscope measured during a segment, radians: its noise, its errors of
+    /// scale, and its bias, which may not be known yet.
+    pub fn rotation_sigma(&self, segment: &TrajectorySegment) -> f64 {
+        let errors = &self.errors;
+        let most = errors.gyroscope_bias;
+        let bias = self.estimate.as_ref().map_or(most, |e| e.sigma_of(InertialEntry::Gyroscope).min(most));
+        let (seconds, turn) = (segment.seconds(), segment.start().rotation.angle_to(&segment.end().rotation));
+        let by_noise = errors.turn * seconds.sqrt();
+        by_noise.hypot(errors.turn_scale * turn).hypot(bias * seconds)
+    }
+
     /// Whether velocity and force at rest are known well enough for the accelerometer to be relied on.
     pub fn is_reliable(&self) -> bool {
         let settings = &self.settings;

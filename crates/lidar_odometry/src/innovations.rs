@@ -1,8 +1,9 @@
-//! How far constant rotation is off, learned from how sweeps were registered.
+//! How far predicted rotations are off, constant or measured by a gyroscope, learned from how sweeps were registered.
 //!
-//! The prior of a segment is wide enough for a lidar that is swung about. On a vehicle it is too wide: errors of the
+//! The prior of constant rotation is wide enough for a lidar that is swung about. On a vehicle it is too wide: errors of the
 //! sensor that repeat in every turn are then taken for motion during the sweep, and bend the trajectory by what of them is
-//! carried on from sweep to sweep.
+//! carried on from sweep to sweep. The prior of a gyroscope is what it is off by itself, too narrow where its stamps jitter, its clock
+//! is off or its mounting gives way.
 
 use portolan_numeric::CovarianceMatching;
 
@@ -15,30 +16,52 @@ const MARGIN: f64 = 2.0;
 /// What was learned counts for no less than this fraction of the prior.
 const LEAST: f64 = 0.03;
 
-/// What innovations of rotation about one axis say of the prior.
+/// Rotations of registered sweeps are off by about so much, radians (standard deviation), and so is where the next segment starts. A
+/// gyroscope measures from sweep to sweep as well or better (docs/experiments/2026-11-gyroscope-prior.md).
+pub(crate) const REGISTERED: f64 = 5e-4;
+
+/// What innovations of rotation say of priors.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Innovations {
-    rotation: CovarianceMatching,
+    constant: CovarianceMatching,
+    measured: CovarianceMatching,
 }
 
 impl Default for Innovations {
     fn default() -> Self {
-        Self { rotation: CovarianceMatching::new(MEMORY) }
+        let as_assumed = MARGIN.powi(-2);
+        let measured =
+            CovarianceMatching::new(MEMORY).starting_at(as_assumed).within(as_assumed, f64::INFINITY);
+        Self { constant: CovarianceMatching::new(MEMORY), measured }
     }
 }
 
 impl Innovations {
-    /// By what fraction the standard deviation of the prior is to be multiplied.
-    pub fn fraction(&self) -> f64 {
-        (MARGIN * self.rotation.sigma_factor()).clamp(LEAST, 1.0)
+    /// By what fraction the standard deviation of the prior of constant rotation is to be multiplied.
+    pub fn of_constant(&self) -> f64 {
+        (MARGIN * self.constant.sigma_factor()).clamp(LEAST, 1.0)
+    }
+
+    /// How many times as far off a gyroscope's rotations may be as it should be.
+    pub fn of_measured(&self) -> f64 {
+        MARGIN * self.measured.sigma_factor()
     }
 
     /// Takes what registration added to a rotation that nothing measured, with the prior's standard deviation, radians.
-    pub fn add(&mut self, correction: &SegmentCorrection, sigma: f64) {
-        let sigmas = correction.end().fixed_rows::<3>(3).norm() / sigma;
-        // Three axes share the length.
-        self.rotation.add(sigmas.powi(2) / 3.0);
+    pub fn add_constant(&mut self, correction: &SegmentCorrection, sigma: f64) {
+        self.constant.add(squared(correction, sigma));
     }
+
+    /// Takes what registration added to a rotation that a gyroscope measured, which should be off by so much, radians.
+    pub fn add_measured(&mut self, correction: &SegmentCorrection, sigma: f64) {
+        self.measured.add(squared(correction, sigma.hypot(REGISTERED)));
+    }
+}
+
+/// The squared innovation in variances, a third for each axis.
+fn squared(correction: &SegmentCorrection, sigma: f64) -> f64 {
+    let sigmas = correction.end().fixed_rows::<3>(3).norm() / sigma;
+    sigmas.powi(2) / 3.0
 }
 
 #[cfg(test)]
@@ -55,15 +78,25 @@ mod tests {
     #[test]
     fn a_smooth_drive_narrows_the_prior_and_a_jolt_opens_it() {
         let mut innovations = Innovations::default();
-        assert_eq!(innovations.fraction(), 1.0);
-        (0..200).for_each(|_| innovations.add(&correction(0.002), 0.05));
-        let smooth = innovations.fraction();
+        assert_eq!(innovations.of_constant(), 1.0);
+        (0..200).for_each(|_| innovations.add_constant(&correction(0.002), 0.05));
+        let smooth = innovations.of_constant();
         assert!((smooth - MARGIN * 0.002 / 0.05 / 3f64.sqrt()).abs() < 0.002, "{smooth}");
         let sweeps = (0..40).take_while(|_| {
-            innovations.add(&correction(0.05), 0.05);
-            innovations.fraction() < 0.5
+            innovations.add_constant(&correction(0.05), 0.05);
+            innovations.of_constant() < 0.5
         });
         assert!(sweeps.count() < 10);
+    }
+
+    #[test]
+    fn a_gyroscope_is_as_good_as_it_should_be_until_it_is_not() {
+        let mut innovations = Innovations::default();
+        assert_eq!(innovations.of_measured(), 1.0);
+        (0..20).for_each(|_| innovations.add_measured(&correction(0.0002), 0.0005));
+        assert_eq!(innovations.of_measured(), 1.0);
+        (0..10).for_each(|_| innovations.add_measured(&correction(0.02), 0.0005));
+        assert!(innovations.of_measured() > 10.0, "{}", innovations.of_measured());
     }
 
     #[test]
@@ -71,8 +104,8 @@ mod tests {
         let mut innovations = Innovations::default();
         let SegmentCorrection { growth, .. } = correction(0.01);
         (0..200).for_each(|_| {
-            innovations.add(&SegmentCorrection { start: -growth, growth }, 0.05);
+            innovations.add_constant(&SegmentCorrection { start: -growth, growth }, 0.05);
         });
-        assert_eq!(innovations.fraction(), LEAST);
+        assert_eq!(innovations.of_constant(), LEAST);
     }
 }

@@ -127,13 +127,14 @@ impl MotionState {
         // 4. The likeliest.
         let mut segment = self.likeliest(standing.as_ref(), inertial.as_ref(), &extrapolated, end);
         let is_complete = self.resumed_at.is_none_or(|resumed| start.is_some_and(|start| resumed <= start));
-        segment.rotation_is_measured = self.has_gyroscope(end) && is_complete;
+        let has_gyroscope = self.has_gyroscope(end) && is_complete;
+        segment.gyroscope_sigma = has_gyroscope.then(|| self.inertial.rotation_sigma(&segment));
         // 5. Others, where it may be wrong.
         let is_saturated = self.saturated_at > start;
         let mut alternatives = self.alternatives(end, &segment, &extrapolated, is_saturated);
         alternatives.extend(odometry.as_ref().and_then(|odometry| {
             let mut other = self.other_than(&extrapolated, odometry)?;
-            other.rotation_is_measured = segment.rotation_is_measured;
+            other.gyroscope_sigma = segment.gyroscope_sigma;
             let clearly_better = self.hypotheses.better_over_sweeps;
             Some(Alternative { reason: Reason::OdometryFails, segment: other, clearly_better })
         }));
@@ -217,7 +218,7 @@ impl MotionState {
         let mut alternatives = Vec::new();
         if matches!(first.source, MotionSource::Inertial { .. }) {
             let mut segment = extrapolated.clone();
-            segment.rotation_is_measured = first.rotation_is_measured;
+            segment.gyroscope_sigma = first.gyroscope_sigma;
             let reason = Reason::AccelerometerFails;
             alternatives.push(Alternative { reason, segment, clearly_better: 1.0 });
         }
@@ -227,7 +228,7 @@ impl MotionState {
             let segment = predict::standing(&self.extrapolator, end, &last);
             alternatives.push(Alternative { reason: Reason::LongGap, segment, clearly_better: 1.0 });
         }
-        if first.rotation_is_measured {
+        if first.rotation_is_measured() {
             let segment = predict::with_constant_rotation(&mut self.extrapolator, end);
             let clearly_better = if is_saturated { 1.0 } else { settings.clearly_better };
             alternatives.push(Alternative { reason: Reason::GyroscopeFails, segment, clearly_better });
@@ -325,7 +326,7 @@ impl MotionState {
                 degenerate: &degenerate,
                 attenuation: end.attenuation,
                 tells_rotation: end.tells_rotation,
-                gyroscope_holds: prediction.segment.rotation_is_measured && !prediction.is_saturated,
+                gyroscope_holds: prediction.segment.rotation_is_measured() && !prediction.is_saturated,
                 is_standing: end.is_standing,
             };
             self.inertial.update(end.time, inertial, &measured);

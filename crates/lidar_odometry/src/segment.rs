@@ -19,8 +19,9 @@ pub struct TrajectorySegment {
     /// Seconds between the poses.
     spacing: f64,
     poses: Vec<Rigid3>,
-    /// Whether a gyroscope measured the rotation; else it continues that of the sweep before.
-    pub rotation_is_measured: bool,
+    /// How far off the rotation at the end is about each axis that a gyroscope measured, radians (standard deviation). None where
+    /// nothing measured it: it continues that of the sweep before.
+    pub gyroscope_sigma: Option<f64>,
     /// What the translation comes from.
     pub source: MotionSource,
 }
@@ -79,7 +80,7 @@ impl TrajectorySegment {
             false => start + Duration::from_seconds(i as f64 * spacing),
         };
         let poses = (0..=pieces).map(|i| pose_at(time(i))).collect();
-        Self { spacing, poses, rotation_is_measured: false, source: MotionSource::ConstantVelocity }
+        Self { spacing, poses, gyroscope_sigma: None, source: MotionSource::ConstantVelocity }
     }
 
     /// A pose for a scan that took no time.
@@ -87,9 +88,14 @@ impl TrajectorySegment {
         Self {
             spacing: 0.0,
             poses: vec![pose; 2],
-            rotation_is_measured: true,
+            gyroscope_sigma: Some(0.0),
             source: MotionSource::Standing,
         }
+    }
+
+    /// Whether a gyroscope measured the rotation.
+    pub fn rotation_is_measured(&self) -> bool {
+        self.gyroscope_sigma.is_some()
     }
 
     /// The segment with its poses changed, each by its seconds from the start.
@@ -164,7 +170,7 @@ impl TrajectorySegment {
     /// middle of that sweep, and a constant acceleration adds (s + s²)/2 of what it adds until the end.
     pub(crate) fn growth_fractions(&self, s: f64) -> [f64; 2] {
         let fraction = |is_measured: bool| if is_measured { s } else { 0.5 * (s + s * s) };
-        [fraction(self.source != MotionSource::ConstantVelocity), fraction(self.rotation_is_measured)]
+        [fraction(self.source != MotionSource::ConstantVelocity), fraction(self.rotation_is_measured())]
     }
 
     /// The fraction of the time that has passed at `time` seconds from the end (not positive).

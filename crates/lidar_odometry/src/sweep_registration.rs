@@ -7,7 +7,7 @@ use portolan_sensor::{TimedPoint, voxel_filter_indices};
 use crate::belief::SweepFit;
 use crate::deskew::PiecewiseLinearTrajectory;
 use crate::initialise::COARSE;
-use crate::innovations::Innovations;
+use crate::innovations::{self, Innovations};
 use crate::odometry_prior::MeasuredPlace;
 use crate::plane_map::PlaneMap;
 use crate::poles::PolesToRegister;
@@ -78,8 +78,10 @@ pub(crate) struct SweepRegistration {
     least_spacing: f32,
     /// Edge of the voxels of which one point each is registered, adapted from sweep to sweep.
     spacing: f32,
-    /// How far off predicted rotations were that nothing measured.
+    /// How far off predicted rotations were.
     innovations: Innovations,
+    /// Whether a gyroscope measured the rotation until the end of the last sweep, where the next segment starts.
+    start_is_measured: bool,
 }
 
 impl SweepRegistration {
@@ -95,6 +97,7 @@ impl SweepRegistration {
             least_spacing: settings.plane_fit.range_noise as f32,
             spacing: settings.first_spacing(),
             innovations: Innovations::default(),
+            start_is_measured: false,
         }
     }
 
@@ -119,9 +122,15 @@ impl SweepRegistration {
 
     /// Learns how far off a segment was predicted that was registered.
     pub fn learn(&mut self, segment: &TrajectorySegment, registered: &RegisteredSegment) {
+        self.start_is_measured = segment.rotation_is_measured();
         let Some(found) = &registered.found else { return };
-        if !segment.rotation_is_measured && found.degenerate.rotations.is_empty() {
-            self.innovations.add(&found.correction, self.usual_growth(segment).rotation);
+        if found.degenerate.rotations.is_empty() {
+            match segment.gyroscope_sigma {
+                Some(sigma) => self.innovations.add_measured(&found.correction, sigma),
+                None => {
+                    self.innovations.add_constant(&found.correction, self.usual_growth(segment).rotation);
+                }
+            }
         }
     }
 
@@ -173,7 +182,11 @@ impl SweepRegistration {
         local_from_map: &Rigid3,
         found: Option<RegistrationResult>,
     ) -> RegisteredSegment {
-        let prior = self.motion_prior(segment);
+        // However precise a gyroscope was lately, it fails by as much as is unusual for any.
+        let possible = match segment.rotation_is_measured() {
+            true => self.usual_growth(segment).rotation,
+            false => self.motion_prior(segment).growth.rotation,
+        };
         let in_map = segment.seen_from(&local_from_map.inverse());
         let correction = found.as_ref().map_or_else(SegmentCorrection::default, |found| found.correction);
         let local_from_tracking = local_from_map * in_map.corrected_end(&correction);
@@ -183,7 +196,7 @@ impl SweepRegistration {
             to_end: in_map.deskewing(&correction),
             fit: found.as_ref().map_or(0.0, |f| f.fit(self.final_scale)),
             evidence: found.as_ref().map_or(0.0, |f| f.evidence(self.final_scale)),
-            contradicts_rotation: found.is_some() && error > self.outlier_sigmas * prior.growth.rotation,
+            contradicts_rotation: found.is_some() && error > self.outlier_sigmas * possible,
             found,
         }
     }
@@ -199,7 +212,7 @@ impl SweepRegistration {
                 MotionSource::Inertial { velocity_sigma } => least + velocity_sigma * seconds,
                 MotionSource::ConstantVelocity => least + prior.by_acceleration(seconds),
             },
-            rotation: match segment.rotation_is_measured {
+            rotation: match segment.rotation_is_measured() {
                 true => prior.least_rotation_error + self.gyroscope_drift * seconds,
                 false => prior.least_rotation_error + 0.5 * prior.rotational_acceleration * seconds * seconds,
             },
@@ -231,19 +244,19 @@ impl SweepRegistration {
         Some(MeasuredPlace { local_from_tracking, covariance, of_prior, told })
     }
 
-    /// How far off a predicted segment may be: as usual, less where constant rotation was less off lately.
+    /// How far off a predicted segment may be: as usual, less where rotations were less off lately.
     fn motion_prior(&self, segment: &TrajectorySegment) -> MotionPrior {
-        let (prior, mut growth) = (&self.prior, self.usual_growth(segment));
-        if !segment.rotation_is_measured {
-            growth.rotation *= self.innovations.fraction();
-        }
-        let start = Sigmas {
-            translation: prior.least_translation_error,
-            rotation: match segment.rotation_is_measured {
-                true => growth.rotation,
-                false => prior.start_rotation,
-            },
+        let (prior, usual) = (&self.prior, self.usual_growth(segment));
+        let (start_rotation, rotation) = match segment.gyroscope_sigma {
+            Some(sigma) => {
+                let rotation = usual.rotation.min(sigma * self.innovations.of_measured());
+                let at_start = rotation.max(innovations::REGISTERED);
+                (if self.start_is_measured { at_start } else { usual.rotation }, rotation)
+            }
+            None => (prior.start_rotation, usual.rotation * self.innovations.of_constant()),
         };
+        let start = Sigmas { translation: prior.least_translation_error, rotation: start_rotation };
+        let growth = Sigmas { rotation, ..usual };
         let compensates_attenuation = matches!(segment.source, MotionSource::Inertial { .. });
         MotionPrior { start, growth, compensates_attenuation }
     }

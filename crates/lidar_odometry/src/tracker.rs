@@ -250,7 +250,7 @@ impl Tracker {
             ..RegisteredSweep::new(sweep, place.local_from_tracking, gravity, deskewed)
         };
         if belief == Belief::Sure {
-            self.show(&mut result, poles, place.is_standing, best.segment.rotation_is_measured);
+            self.show(&mut result, poles, place.is_standing, best.segment.rotation_is_measured());
         } else {
             issues.count(Issue::ContradictsMap);
         }
@@ -311,7 +311,7 @@ impl Tracker {
         let is_long = end.seconds_since(self.fitted_at) > self.settings.loss.seconds;
         !fits_planes
             && segment.source == MotionSource::ConstantVelocity
-            && (!segment.rotation_is_measured || is_long)
+            && (!segment.rotation_is_measured() || is_long)
     }
 
     /// Shows map, poles and witness a sweep that fits.

@@ -70,7 +70,7 @@ impl WideSearch<'_> {
         segment: &TrajectorySegment,
     ) -> Vec<Peak> {
         let settings = &self.settings.correlation;
-        let is_measured = segment.rotation_is_measured;
+        let is_measured = segment.rotation_is_measured();
         let linear = Window::after(segment.seconds(), is_measured, settings).linear;
         let window = Window { linear, angular: if is_measured { 0.0 } else { settings.widest } };
         let peaks = self.headings(is_measured).flat_map(|heading| {

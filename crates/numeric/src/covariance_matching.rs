@@ -30,6 +30,12 @@ impl CovarianceMatching {
         Self { factor: 1.0, memory, bounds: (0.0, f64::INFINITY) }
     }
 
+    /// Errors are believed to have so many times the variance that is assumed, until innovations say something else.
+    #[must_use]
+    pub const fn starting_at(self, factor: f64) -> Self {
+        Self { factor, ..self }
+    }
+
     /// The factor does not leave these bounds.
     pub const fn within(self, least: f64, most: f64) -> Self {
         Self { bounds: (least, most), ..self }

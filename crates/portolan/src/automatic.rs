@@ -127,24 +127,43 @@ fn is_message_a_scan(sensors: &Sensors) -> bool {
     !sensors.has_more_lidars && hertz > 0.0 && hertz < MAX_SWEEPS_HZ
 }
 
+/// Which sweeps are key frames in 3D, how many make half a submap, and which part of them is looked for in older submaps.
+struct Keyframes {
+    /// Metres.
+    max_distance: f64,
+    /// Radians.
+    max_angle: f64,
+    per_half_submap: usize,
+    searched: f64,
+}
+
+/// About every second sweep at walking speed; the sweeps between are registered, too. Every sweep a key frame costs a fourth
+/// more time for maps that are a little better (docs/experiments/2026-11-settings-3d.md).
+const KEYFRAMES_INSIDE: Keyframes =
+    Keyframes { max_distance: 0.15, max_angle: 0.05, per_half_submap: 45, searched: 0.15 };
+
+/// Where ranges are long, sweeps see the same two metres further on: every fifth sweep at walking speed, every second or
+/// third of a car (docs/experiments/2026-11-gyroscope-prior.md).
+const KEYFRAMES_OUTSIDE: Keyframes =
+    Keyframes { max_distance: 2.0, max_angle: 0.5, per_half_submap: 24, searched: 0.25 };
+
 fn settings_3d(sensors: &Sensors) -> Options {
     let mut options = Options::for_3d();
     let local = &mut options.trajectory_builder.trajectory_builder_3d;
-    if let Some(lidar) = &sensors.lidar {
+    let is_outside = sensors.lidar.as_ref().is_some_and(|l| l.median_range_metres > OUTSIDE_MEDIAN_RANGE);
+    if sensors.lidar.is_some() {
         // The spinning head and who carries it are no part of the world.
         local.min_range = 0.5;
-        let outside = lidar.median_range_metres > OUTSIDE_MEDIAN_RANGE;
-        local.submaps.high_resolution = if outside { 0.2 } else { 0.1 };
-        local.max_range = if outside { 100.0 } else { 60.0 };
+        local.submaps.high_resolution = if is_outside { 0.2 } else { 0.1 };
+        local.max_range = if is_outside { 100.0 } else { 60.0 };
     }
     options.portolan.match_surfaces = true;
     // A tenth of a second is one sweep of most lidars, and short enough to go straight in.
     options.portolan.min_scan_duration = if is_message_a_scan(sensors) { 0.0 } else { MAX_SCAN_DURATION };
-    // About every second sweep at walking speed is a key frame; the sweeps between are matched, too. Every sweep a
-    // key frame costs a fourth more time for maps that are a little better (docs/experiments/2026-11-settings-3d.md).
-    local.motion_filter.max_distance_meters = 0.15;
-    local.motion_filter.max_angle_radians = 0.05;
-    local.submaps.num_range_data = 45;
+    let keyframes = if is_outside { &KEYFRAMES_OUTSIDE } else { &KEYFRAMES_INSIDE };
+    local.motion_filter.max_distance_meters = keyframes.max_distance;
+    local.motion_filter.max_angle_radians = keyframes.max_angle;
+    local.submaps.num_range_data = keyframes.per_half_submap;
     local.ceres_scan_matcher.translation_weight = 1.0;
     local.ceres_scan_matcher.rotation_weight = 10.0;
     // What is tracked is the IMU itself: if turns of lidar and gyroscope have other axes, the lidar is mounted otherwise.
@@ -155,7 +174,7 @@ fn settings_3d(sensors: &Sensors) -> Options {
     graph.constraint_builder.loop_closure_rotation_weight = 5e3;
     graph.optimization_problem.huber_scale = 200.0;
     // One in a metre of way for each submap.
-    graph.constraint_builder.sampling_ratio = 0.15;
+    graph.constraint_builder.sampling_ratio = keyframes.searched;
     // Pieces of map that begin where the pose was lost are looked for in the rest, and believed once matches agree.
     options.portolan.global_localization_min_matches = 3;
     graph.global_sampling_ratio = 0.1;

@@ -92,7 +92,7 @@ impl RecentPoles {
     /// Whether to register poles: if nothing measures translation or rotation of a sweep. With odometry it would help
     /// among trees, too, but in a bare tunnel, where some points of the walls pass for poles, it contradicts the odometry.
     pub fn are_wanted(segment: &TrajectorySegment) -> bool {
-        segment.source == MotionSource::ConstantVelocity && !segment.rotation_is_measured
+        segment.source == MotionSource::ConstantVelocity && !segment.rotation_is_measured()
     }
 
     /// What to register, if poles are wanted.

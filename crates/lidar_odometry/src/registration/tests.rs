@@ -143,7 +143,7 @@ fn a_sweep_is_found_whose_start_and_speed_were_off() {
     let (start, seconds) = (Time::from_ticks(0), 0.1);
     let end = start + Duration::from_seconds(seconds);
     let mut segment = TrajectorySegment::new(start, end, |t| pose_at(0.6, t.seconds_since(start), 0.01));
-    (segment.rotation_is_measured, segment.source) = (true, MotionSource::Standing);
+    (segment.gyroscope_sigma, segment.source) = (Some(0.0), MotionSource::Standing);
     let fixed = room(&mut lcg, true, 0.02);
     let points: Vec<TimedPoint> = fixed
         .iter()

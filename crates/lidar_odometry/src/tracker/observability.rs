@@ -59,7 +59,7 @@ impl Tracker {
         let scan = |taken| DegenerateScan { time: end, seconds, taken };
         self.intervals.add_translations(&scan(by_translation), &degenerate.translations, &up);
         self.intervals.add_rotations(&scan(by_rotation), &degenerate.rotations, &up);
-        let rotation_is_measured = segment.rotation_is_measured;
+        let rotation_is_measured = segment.rotation_is_measured();
         Observability { degenerate, translation_is_measured, rotation_is_measured }
     }
 
@@ -79,7 +79,7 @@ impl Tracker {
         };
         // Where a gyroscope is overruled, the rotation goes on as before, and not as odometry says.
         let is_overruled = self.motion.has_gyroscope(end);
-        let rotation = match (segment.rotation_is_measured, translation) {
+        let rotation = match (segment.rotation_is_measured(), translation) {
             (true, _) => Substitute::Gyroscope,
             (false, Substitute::Odometry) if is_overruled => Substitute::Velocity,
             (false, Substitute::Accelerometer | Substitute::Correlation) => Substitute::Velocity,
