@@ -104,9 +104,9 @@ settings! {
             origin: "jitter of stamps; a start held faster is a trap, errors come back with the opposite sign; 0.005 to 0.05 come out alike there",
             larger: "predictions count less, segments start elsewhere than the last one ended";
         least_rotation_error: f64 = 0.005, "rad", 0.0..=1.0,
-            "What any prediction of a rotation may be off by at least, and a registered rotation (standard deviation)",
+            "What a prediction of a rotation that nothing measured may be off by at least, one of a gyroscope before it is doubted, and a registered rotation (standard deviation)",
             origin: "tuned: who stands sways by so much",
-            larger: "predicted rotations count less; slow rotations pass for rest";
+            larger: "rotations that nothing measured count less, gyroscopes are doubted later; slow rotations pass for rest";
     }
 }
 
