@@ -124,6 +124,7 @@ def main():
         sys.exit(f"{data_folder()} is missing: set PORTOLAN_DATA to the folder of the recordings")
     with tempfile.TemporaryDirectory() as temporary:
         cache = pathlib.Path(arguments.maps or temporary)
+        cache.mkdir(parents=True, exist_ok=True)
         if arguments.space is not None:
             # What makes bags of other formats needs more than Python.
             from field_localize_space import drives

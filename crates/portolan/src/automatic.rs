@@ -127,25 +127,34 @@ fn is_message_a_scan(sensors: &Sensors) -> bool {
     !sensors.has_more_lidars && hertz > 0.0 && hertz < MAX_SWEEPS_HZ
 }
 
-/// Which sweeps are key frames in 3D, how many make half a submap, and which part of them is looked for in older submaps.
+/// Which sweeps are key frames in 3D, and what is made of them.
 struct Keyframes {
     /// Metres.
     max_distance: f64,
     /// Radians.
     max_angle: f64,
     per_half_submap: usize,
+    /// The part of them that is looked for in older submaps.
     searched: f64,
+    /// At least so many points each keeps in its fine and in its coarse cloud, if it has them.
+    points: [usize; 2],
 }
 
-/// About every second sweep at walking speed; the sweeps between are registered, too. Every sweep a key frame costs a fourth
-/// more time for maps that are a little better (docs/experiments/2026-11-settings-3d.md).
-const KEYFRAMES_INSIDE: Keyframes =
-    Keyframes { max_distance: 0.15, max_angle: 0.05, per_half_submap: 45, searched: 0.15 };
+/// Inside, or without IMU: about every second sweep at walking speed; the sweeps between are registered, too. Every sweep a key
+/// frame costs a fourth more time for maps that are a little better (docs/experiments/2026-11-settings-3d.md).
+const KEYFRAMES_USUAL: Keyframes = Keyframes {
+    max_distance: 0.15,
+    max_angle: 0.05,
+    per_half_submap: 45,
+    searched: 0.15,
+    points: [150, 200],
+};
 
-/// Where ranges are long, sweeps see the same two metres further on: every fifth sweep at walking speed, every second or
-/// third of a car (docs/experiments/2026-11-gyroscope-prior.md).
-const KEYFRAMES_OUTSIDE: Keyframes =
-    Keyframes { max_distance: 2.0, max_angle: 0.5, per_half_submap: 24, searched: 0.25 };
+/// Where ranges are long, sweeps see the same two metres further on, and where a gyroscope measures, what lies between key
+/// frames needs no pose graph: every fifth sweep at walking speed, every second or third of a car. A map keeps as many
+/// points in a metre of way (docs/experiments/2026-11-gyroscope-prior.md).
+const KEYFRAMES_FAR_APART: Keyframes =
+    Keyframes { max_distance: 2.0, max_angle: 0.5, per_half_submap: 24, searched: 0.25, points: [400, 500] };
 
 fn settings_3d(sensors: &Sensors) -> Options {
     let mut options = Options::for_3d();
@@ -160,10 +169,13 @@ fn settings_3d(sensors: &Sensors) -> Options {
     options.portolan.match_surfaces = true;
     // A tenth of a second is one sweep of most lidars, and short enough to go straight in.
     options.portolan.min_scan_duration = if is_message_a_scan(sensors) { 0.0 } else { MAX_SCAN_DURATION };
-    let keyframes = if is_outside { &KEYFRAMES_OUTSIDE } else { &KEYFRAMES_INSIDE };
+    let keyframes = if is_outside && sensors.has_imu { &KEYFRAMES_FAR_APART } else { &KEYFRAMES_USUAL };
     local.motion_filter.max_distance_meters = keyframes.max_distance;
     local.motion_filter.max_angle_radians = keyframes.max_angle;
     local.submaps.num_range_data = keyframes.per_half_submap;
+    let [fine, coarse] = keyframes.points;
+    local.high_resolution_adaptive_voxel_filter.min_num_points = fine;
+    local.low_resolution_adaptive_voxel_filter.min_num_points = coarse;
     local.ceres_scan_matcher.translation_weight = 1.0;
     local.ceres_scan_matcher.rotation_weight = 10.0;
     // What is tracked is the IMU itself: if turns of lidar and gyroscope have other axes, the lidar is mounted otherwise.
