@@ -13,8 +13,8 @@ use crate::segment::SegmentCorrection;
 const MEMORY: f64 = 20.0;
 /// Innovations are those of the ends of segments; as much is allowed for within one, and so many times more.
 const MARGIN: f64 = 2.0;
-/// What was learned counts for no less than this fraction of the prior.
-const LEAST: f64 = 0.03;
+/// What was learned counts for no less than this fraction of what predictions may usually be off by.
+pub(crate) const LEAST: f64 = 0.03;
 
 /// Rotations of registered sweeps are off by about so much, radians (standard deviation), and so is where the next segment starts. A
 /// gyroscope measures from sweep to sweep as well or better (docs/experiments/2026-11-gyroscope-prior.md).

@@ -249,7 +249,8 @@ impl SweepRegistration {
         let (prior, usual) = (&self.prior, self.usual_growth(segment));
         let (start_rotation, rotation) = match segment.gyroscope_sigma {
             Some(sigma) => {
-                let rotation = usual.rotation.min(sigma * self.innovations.of_measured());
+                let least = innovations::LEAST * usual.rotation;
+                let rotation = (sigma * self.innovations.of_measured()).clamp(least, usual.rotation);
                 let at_start = rotation.max(innovations::REGISTERED);
                 (if self.start_is_measured { at_start } else { usual.rotation }, rotation)
             }
