@@ -185,10 +185,13 @@ def imu_message(time, acceleration, rate):
 
 def cloud_message(time, points, times):
     field = STORE.types["sensor_msgs/msg/PointField"]
-    fields = [field(name=name, offset=4 * i, datatype=7, count=1) for i, name in enumerate(["x", "y", "z", "time"])]
-    data = np.column_stack([points, times]).astype("<f4").tobytes()
+    names, columns = ["x", "y", "z"], points
+    if times is not None:
+        names, columns = names + ["time"], np.column_stack([points, times])
+    fields = [field(name=name, offset=4 * i, datatype=7, count=1) for i, name in enumerate(names)]
+    data = columns.astype("<f4").tobytes()
     return make("sensor_msgs/msg/PointCloud2", header=header(time, "lidar"), height=1, width=len(points), fields=fields,
-                is_bigendian=False, point_step=16, row_step=16 * len(points), data=np.frombuffer(data, np.uint8), is_dense=True)
+                is_bigendian=False, point_step=4 * len(names), row_step=4 * len(names) * len(points), data=np.frombuffer(data, np.uint8), is_dense=True)
 
 
 def scan_message(time, ranges, farthest):

@@ -3,8 +3,10 @@
 //! ICRA 2009, here on columns of voxels).
 //!
 //! Nearest neighbours do not tell: the rings in which beams meet the ground, and the lines that they draw along a wall, move
-//! with the scanner, and hold it where it was. What reaches some way up does not.
+//! with the scanner, and hold it where it was. What reaches some way up does not. It is looked for among all that the other sweep
+//! saw: where beams met only part of it, it did not seem to stand upright there, and a guard rail seems to where a ring passes it.
 
+use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Point3f, Rigid3, Vector3, quaternion_from_angle_axis, to_f32};
 use portolan_numeric::median;
 
@@ -27,8 +29,6 @@ pub(crate) struct Peak {
     pub pose: Rigid3,
     /// Fraction of the voxels of the second sweep.
     pub share: f64,
-    /// From the pose to where the maximum lies between the shifts that were tried.
-    pub between: Vector3,
 }
 
 /// Where places are looked for: all shifts up to `linear` metres along x and y, all headings up to `angular` radians.
@@ -46,38 +46,37 @@ impl Window {
     }
 }
 
-/// What stands upright in a sweep, as other sweeps are compared with it.
-pub(crate) struct UprightReference<'a> {
+/// What a sweep saw, as what stands upright in other sweeps is looked for in it.
+pub(crate) struct CorrelationReference<'a> {
     settings: &'a CorrelationSettings,
     columns: Columns,
 }
 
-impl<'a> UprightReference<'a> {
+impl<'a> CorrelationReference<'a> {
     /// Of points (metres) in a frame at the scanner that is about level.
     pub fn new(points: &[Point3f], settings: &'a CorrelationSettings) -> Self {
-        Self::of_upright(&upright(points, settings), settings)
-    }
-
-    /// Of points that stand upright.
-    pub fn of_upright(upright: &[Point3f], settings: &'a CorrelationSettings) -> Self {
         // Beyond the edge there is nothing, however a sweep is shifted.
         let range = settings.range + settings.farthest as f32 + settings.cell;
-        let mut columns = Columns::of(upright, settings.cell, range, [0.0; 2], settings);
+        let mut columns = Columns::of(points, settings.cell, range, [0.0; 2], settings);
         // A platform rises and sinks a little between sweeps.
         columns.masks.iter_mut().for_each(|mask| *mask |= *mask << 1 | *mask >> 1);
         Self { settings, columns }
+    }
+
+    pub fn settings(&self) -> &CorrelationSettings {
+        self.settings
+    }
+
+    pub fn columns(&self) -> &Columns {
+        &self.columns
     }
 
     /// Where another sweep, whose points are given alike, may lie around an initial pose: the best place first, then other
     /// local maxima that are nearly as good, and the initial pose itself where nothing is clearly better. None where hardly
     /// anything stands upright.
     pub fn peaks(&self, points: &[Point3f], initial: &Rigid3, window: Window) -> Vec<Peak> {
-        self.peaks_of_upright(&upright(points, self.settings), initial, window)
-    }
-
-    /// As [`Self::peaks`] of points that stand upright.
-    pub fn peaks_of_upright(&self, upright: &[Point3f], initial: &Rigid3, window: Window) -> Vec<Peak> {
         let settings = self.settings;
+        let upright = upright(points, settings);
         let mut scores = Scores::new(window.linear, settings.cell);
         // By so much half of the points move by less than a cell.
         let mut distances: Vec<f64> = upright.iter().map(|p| f64::from(p.x.hypot(p.y))).collect();
@@ -95,47 +94,37 @@ impl<'a> UprightReference<'a> {
         }
         scores.peaks(settings, initial)
     }
-
-    /// How much of points that stand upright is met again where they are shifted by so much, metres.
-    pub fn share_of_upright(&self, upright: &[Point3f], shift: &Vector3) -> f64 {
-        let shift = shift.cast::<f32>();
-        let moved: Vec<Point3f> = upright.iter().map(|p| p + shift).collect();
-        let columns = Columns::of(&moved, self.settings.cell, self.settings.range, [0.0; 2], self.settings);
-        let mut score = Scores::new(0.0, self.settings.cell);
-        score.add(&self.columns, &columns, [0, 0], 0.0, self.settings);
-        score.share(0, 0)
-    }
 }
 
 fn turned(initial: &Rigid3, heading: f64) -> portolan_geometry::Quaternion {
     quaternion_from_angle_axis(&(Vector3::z() * heading)) * initial.rotation
 }
 
-/// The points above or below which there are others a little way off: walls, trunks, cars, but neither the ground nor a
-/// ceiling. Far points are left out.
+/// The points below which there are others a little way off.
 pub(crate) fn upright(points: &[Point3f], settings: &CorrelationSettings) -> Vec<Point3f> {
     let edge = 2.0 * settings.cell;
     let mut columns = Columns::of(points, edge, settings.range, [0.0; 2], settings);
     for mask in &mut columns.masks {
         let all = *mask;
-        let two_to_four = |mask: u64| mask << 2 | mask << 3 | mask << 4 | mask >> 2 | mask >> 3 | mask >> 4;
-        *mask &= two_to_four(all);
+        *mask &= all << 2 | all << 3 | all << 4;
     }
     let is_upright = |p: &&Point3f| columns.contains(p, edge, settings);
     points.iter().filter(is_upright).copied().collect()
 }
 
 /// Columns of voxels around a scanner.
-struct Columns {
+pub(crate) struct Columns {
     /// Row by row.
     masks: Vec<u64>,
     /// Columns along each side.
     side: i32,
+    /// Edge of a column, metres.
+    edge: f32,
 }
 
 impl Columns {
     /// Of points up to a range to each side, moved by fractions of a column.
-    fn of(
+    pub fn of(
         points: &[Point3f],
         edge: f32,
         range: f32,
@@ -143,7 +132,7 @@ impl Columns {
         settings: &CorrelationSettings,
     ) -> Self {
         let side = 2 * (range / edge).ceil() as i32;
-        let mut columns = Self { masks: vec![0; (side * side) as usize], side };
+        let mut columns = Self { masks: vec![0; (side * side) as usize], side, edge };
         for point in points {
             let Some((column, layer)) = columns.voxel(point, edge, moved, settings) else { continue };
             if let Some(mask) = columns.masks.get_mut(column) {
@@ -158,8 +147,32 @@ impl Columns {
         voxel.is_some_and(|(column, layer)| self.masks.get(column).is_some_and(|mask| mask >> layer & 1 == 1))
     }
 
+    pub fn len(&self) -> usize {
+        self.masks.len()
+    }
+
+    pub fn mask(&self, column: usize) -> u64 {
+        self.masks.get(column).copied().unwrap_or(0)
+    }
+
+    /// Centres of columns in which there is something, metres.
+    pub fn filled_places(&self) -> impl Iterator<Item = na::Vector2<f64>> {
+        let (edge, half) = (f64::from(self.edge), 0.5 * f64::from(self.side));
+        let centre = move |i: i32| (f64::from(i) + 0.5 - half) * edge;
+        let filled = self.masks.iter().enumerate().filter(|(_, mask)| **mask != 0);
+        filled.map(move |(i, _)| na::Vector2::new(centre(i as i32 % self.side), centre(i as i32 / self.side)))
+    }
+
+    /// Of the column around a place that was not moved; empty outside.
+    pub fn mask_at(&self, place: &na::Vector2<f64>) -> u64 {
+        let half = 0.5 * f64::from(self.side);
+        let [x, y] = [place.x, place.y].map(|v| v / f64::from(self.edge) + half);
+        let is_inside = |v: f64| v >= 0.0 && v < f64::from(self.side);
+        if is_inside(x) && is_inside(y) { self.mask(y as usize * self.side as usize + x as usize) } else { 0 }
+    }
+
     /// Which column, and which bit of it.
-    fn voxel(
+    pub fn voxel(
         &self,
         point: &Point3f,
         edge: f32,
@@ -259,13 +272,6 @@ impl Scores {
         })
     }
 
-    /// Where the parabola through a maximum and its neighbours along an axis is highest, shifts from the maximum.
-    fn vertex(&self, [x, y]: [i32; 2], [dx, dy]: [i32; 2]) -> f64 {
-        let [before, here, after] = [-1, 0, 1].map(|i| self.share(x + i * dx, y + i * dy));
-        let curvature = before - 2.0 * here + after;
-        if curvature < 0.0 { (0.5 * (before - after) / curvature).clamp(-0.5, 0.5) } else { 0.0 }
-    }
-
     fn peaks(&self, settings: &CorrelationSettings, initial: &Rigid3) -> Vec<Peak> {
         let highest = self.best.iter().map(|best| best.0).fold(0.0, f64::max);
         if highest == 0.0 {
@@ -280,9 +286,7 @@ impl Scores {
             let (share, heading) = self.best.get(self.index(x, y)?).copied()?;
             let shift = Vector3::new(f64::from(x), f64::from(y), 0.0) * self.step;
             let place = initial.translation.vector + shift;
-            let between =
-                Vector3::new(self.vertex([x, y], [1, 0]), self.vertex([x, y], [0, 1]), 0.0) * self.step;
-            Some(Peak { pose: Rigid3::from_parts(place.into(), turned(initial, heading)), share, between })
+            Some(Peak { pose: Rigid3::from_parts(place.into(), turned(initial, heading)), share })
         };
         let mut peaks: Vec<Peak> = all.filter(is_peak).filter_map(peak).collect();
         peaks.sort_by(|a, b| b.share.total_cmp(&a.share));
@@ -300,7 +304,7 @@ mod tests {
     fn posts_and_walls_show_how_far_a_car_went() {
         let settings = CorrelationSettings::default();
         let first = street(&Rigid3::identity());
-        let reference = UprightReference::new(&first, &settings);
+        let reference = CorrelationReference::new(&first, &settings);
         let window = Window::after(0.1, false, &settings);
         for (x, y, heading) in [(1.6, 0.1, 0.03), (-2.2, 0.4, -0.1), (0.0, 0.0, 0.0)] {
             let expected = Rigid3::new(Vector3::new(x, y, 0.0), Vector3::z() * heading);
@@ -311,7 +315,7 @@ mod tests {
         }
         assert!(reference.peaks(&first[..20], &Rigid3::identity(), window).is_empty());
         assert!(reference.peaks(&[], &Rigid3::identity(), window).is_empty());
-        let nothing = UprightReference::new(&[], &settings);
+        let nothing = CorrelationReference::new(&[], &settings);
         assert!(nothing.peaks(&first, &Rigid3::identity(), window).is_empty());
     }
 

@@ -28,6 +28,7 @@ mod registration;
 mod remembered;
 mod segment;
 pub mod settings;
+mod shift_likelihood;
 mod standstill;
 mod start;
 mod sweep;

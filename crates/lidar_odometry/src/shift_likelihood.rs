@@ -1,0 +1,297 @@
+//! How likely it is that what stands upright was seen from so far off: the likelihood of shifts as a whole, with a prior (a
+//! histogram filter: Thrun, Burgard and Fox, "Probabilistic Robotics", section 4.1).
+//!
+//! Meeting something again says as much as it is unlikely to be met there by chance. Along a wall, a guard rail or in a hedge
+//! something is met wherever it is looked for, a post is not. And as beams spread, what stands near a scanner is seen more
+//! completely than the same things farther off: the share that is met again is largest where both sweeps would have been taken
+//! from the same place, though a scanner moved. So each column is compared with its own neighbourhood, not with the others.
+
+use portolan_geometry::nalgebra as na;
+use portolan_geometry::{Point3f, Vector3};
+
+use crate::correlation::{Columns, CorrelationReference};
+
+/// How likely what stands is met again where it stands: so much of what stands upright is, in drives.
+const MET_AGAIN: f64 = 0.8;
+/// How likely something is met by chance is what fraction of shifts so much smaller or larger, metres, meet it.
+const AROUND: f64 = 2.0;
+/// Chance is never better known than this.
+const LEAST_CHANCE: f64 = 0.05;
+/// Shifts are tried up to so many standard deviations.
+const REACH: f64 = 3.0;
+/// Shifts along one and along two directions are tried in steps of this fraction of a cell.
+const STEPS: [f64; 2] = [0.25, 0.5];
+/// Directions of sight are told apart by this part of a turn.
+const SECTORS: usize = 72;
+/// Along two directions it is looked no farther, metres: the number of shifts grows with the square.
+const FARTHEST_IN_TWO: f64 = 3.0;
+
+/// Where upright points may lie, by what is met again and by what was known before.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Posterior {
+    /// Mean, metres.
+    pub shift: Vector3,
+    /// The largest variance along any of the directions, as a fraction of that before.
+    pub remaining_variance: f64,
+}
+
+/// How far sweeps saw in each direction from where they were taken: what lies farther off is not known.
+struct Sight {
+    from: na::Vector2<f64>,
+    /// Metres.
+    farthest: [f64; SECTORS],
+}
+
+/// Shifts that are tried, evenly along each direction.
+struct Shifts<'a> {
+    directions: &'a [na::Vector2<f64>],
+    step: f64,
+    /// To each side.
+    reach: i32,
+    /// And farther out, for chance alone.
+    around: i32,
+}
+
+/// A column of what stands upright.
+struct Upright {
+    place: na::Vector2<f64>,
+    mask: u64,
+}
+
+impl CorrelationReference<'_> {
+    /// Where upright points lie along horizontal directions (orthonormal, one or two) if nothing is known but how far off they
+    /// are about each, metres (standard deviation). `seen_from`: where the reference was taken. None where nothing stands
+    /// upright.
+    pub fn posterior(
+        &self,
+        seen_from: &na::Vector2<f64>,
+        upright: &[Point3f],
+        directions: &[na::Vector2<f64>],
+        sigma: f64,
+        points_per_independent_one: f64,
+    ) -> Option<Posterior> {
+        let settings = self.settings();
+        let columns = self.upright_columns(upright);
+        let shifts = Shifts::new(directions, sigma, f64::from(settings.cell), settings.farthest)?;
+        let sight = Sight::of(self.columns(), *seen_from);
+        let mut logs = vec![0.0; shifts.tried().count()];
+        for column in &columns {
+            shifts.add_to(&mut logs, column, self.columns(), &sight);
+        }
+        let prior = |shift: &na::Vector2<f64>| -0.5 * (shift / sigma).norm_squared();
+        let tried: Vec<na::Vector2<f64>> = shifts.tried().collect();
+        let logs: Vec<f64> = logs
+            .iter()
+            .zip(&tried)
+            .map(|(log, shift)| log / points_per_independent_one + prior(shift))
+            .collect();
+        let highest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let weights: Vec<f64> = logs.iter().map(|log| (log - highest).exp()).collect();
+        let all: f64 = weights.iter().sum();
+        let weighted = || tried.iter().zip(&weights);
+        let mean = weighted().map(|(shift, weight)| shift * *weight).sum::<na::Vector2<f64>>() / all;
+        let variance = |direction: &na::Vector2<f64>| {
+            weighted().map(|(shift, weight)| weight * direction.dot(&(shift - mean)).powi(2)).sum::<f64>()
+                / all
+        };
+        let remaining = directions.iter().map(variance).fold(0.0, f64::max) / (sigma * sigma);
+        (!columns.is_empty())
+            .then(|| Posterior { shift: Vector3::new(mean.x, mean.y, 0.0), remaining_variance: remaining })
+    }
+
+    /// The columns of upright points, evenly if there are many.
+    fn upright_columns(&self, upright: &[Point3f]) -> Vec<Upright> {
+        let settings = self.settings();
+        let columns = Columns::of(upright, settings.cell, settings.range, [0.0; 2], settings);
+        let mut sums = vec![(na::Vector2::zeros(), 0.0); columns.len()];
+        for point in upright {
+            let Some((column, _)) = columns.voxel(point, settings.cell, [0.0; 2], settings) else { continue };
+            if let Some((sum, count)) = sums.get_mut(column) {
+                *sum += point.coords.xy().cast::<f64>();
+                *count += 1.0;
+            }
+        }
+        let filled = sums.iter().enumerate().filter(|(_, (_, count))| *count > 0.0);
+        let all: Vec<Upright> =
+            filled.map(|(i, (sum, count))| Upright { place: sum / *count, mask: columns.mask(i) }).collect();
+        let stride = all.len().div_ceil(settings.max_columns).max(1);
+        all.into_iter().step_by(stride).collect()
+    }
+}
+
+impl<'a> Shifts<'a> {
+    fn new(directions: &'a [na::Vector2<f64>], sigma: f64, cell: f64, farthest: f64) -> Option<Self> {
+        let step = STEPS.get(directions.len().checked_sub(1)?)? * cell;
+        let farthest = if directions.len() == 1 { farthest } else { farthest.min(FARTHEST_IN_TWO) };
+        let reach = ((REACH * sigma).min(farthest) / step).ceil() as i32;
+        Some(Self { directions, step, reach, around: (AROUND / step).ceil() as i32 })
+    }
+
+    /// All that are tried, to so many steps on each side: row by row if there are two directions.
+    fn within(&self, reach: i32) -> impl Iterator<Item = na::Vector2<f64>> {
+        let second = if self.directions.len() == 2 { reach } else { 0 };
+        let at = move |direction: usize, i: i32| {
+            self.directions.get(direction).map_or_else(na::Vector2::zeros, |d| d * (f64::from(i) * self.step))
+        };
+        (-second..=second).flat_map(move |j| (-reach..=reach).map(move |i| at(0, i) + at(1, j)))
+    }
+
+    fn tried(&self) -> impl Iterator<Item = na::Vector2<f64>> {
+        self.within(self.reach)
+    }
+
+    /// Adds how much likelier than by chance a column is met at each shift.
+    fn add_to(&self, logs: &mut [f64], column: &Upright, reference: &Columns, sight: &Sight) {
+        let all = self.reach + self.around;
+        let side = (2 * all + 1) as usize;
+        let bits = f64::from(column.mask.count_ones());
+        // What fraction of it is met there, as far as that is known.
+        let met: Vec<Option<f64>> = self
+            .within(all)
+            .map(|shift| {
+                let place = column.place + shift;
+                let met = (reference.mask_at(&place) & column.mask).count_ones();
+                sight.reaches(&place).then(|| f64::from(met) / bits)
+            })
+            .collect();
+        let known =
+            self.sums_around(met.iter().map(|met| f64::from(u8::from(met.is_some()))).collect(), side);
+        let sums = self.sums_around(met.iter().map(|met| met.unwrap_or(0.0)).collect(), side);
+        let rows = if self.directions.len() == 2 { 2 * self.reach + 1 } else { 1 };
+        let first_row = if self.directions.len() == 2 { self.around } else { 0 };
+        let inner = (0..rows).flat_map(|j| (0..=2 * self.reach).map(move |i| (j, i)));
+        for (log, (j, i)) in logs.iter_mut().zip(inner) {
+            let at = (first_row + j) as usize * side + (self.around + i) as usize;
+            let (Some(Some(met)), Some(sum), Some(known)) = (met.get(at), sums.get(at), known.get(at)) else {
+                continue;
+            };
+            let chance = (sum / known).clamp(LEAST_CHANCE, 1.0 - LEAST_CHANCE);
+            let met_again = MET_AGAIN.max(chance);
+            *log += bits
+                * (met * (met_again / chance).ln() + (1.0 - met) * ((1.0 - met_again) / (1.0 - chance)).ln());
+        }
+    }
+
+    /// Sums over the neighbourhood of each shift.
+    fn sums_around(&self, values: Vec<f64>, side: usize) -> Vec<f64> {
+        let along = moving_sum(&values, side, 1, self.around as usize);
+        if self.directions.len() == 2 { moving_sum(&along, side, side, self.around as usize) } else { along }
+    }
+}
+
+impl Sight {
+    fn of(columns: &Columns, from: na::Vector2<f64>) -> Self {
+        let mut sight = Self { from, farthest: [0.0; SECTORS] };
+        for place in columns.filled_places() {
+            let (sector, range) = sight.sector_and_range(&place);
+            if let Some(farthest) = sight.farthest.get_mut(sector) {
+                *farthest = farthest.max(range);
+            }
+        }
+        sight
+    }
+
+    fn sector_and_range(&self, place: &na::Vector2<f64>) -> (usize, f64) {
+        let ray = place - self.from;
+        let turn = ray.y.atan2(ray.x) / std::f64::consts::TAU;
+        ((turn.rem_euclid(1.0) * SECTORS as f64) as usize % SECTORS, ray.norm())
+    }
+
+    fn reaches(&self, place: &na::Vector2<f64>) -> bool {
+        let (sector, range) = self.sector_and_range(place);
+        self.farthest.get(sector).is_some_and(|farthest| range <= *farthest)
+    }
+}
+
+/// Sums of so many neighbours to both sides, of values that lie `stride` apart in lines of `side`.
+fn moving_sum(values: &[f64], side: usize, stride: usize, half: usize) -> Vec<f64> {
+    let mut sums = vec![0.0; values.len()];
+    let lines = values.len() / side;
+    for line in 0..lines {
+        let at = |i: usize| if stride == 1 { line * side + i } else { i * stride + line };
+        let value = |i: usize| values.get(at(i)).copied().unwrap_or(0.0);
+        let mut sum: f64 = (0..half.min(side)).map(value).sum();
+        for i in 0..side {
+            if i + half < side {
+                sum += value(i + half);
+            }
+            if i > half {
+                sum -= value(i - half - 1);
+            }
+            if let Some(of_neighbours) = sums.get_mut(at(i)) {
+                *of_neighbours = sum.max(0.0);
+            }
+        }
+    }
+    sums
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::settings::CorrelationSettings;
+
+    const SIGMA: f64 = 1.0;
+    /// Half of a cell.
+    const RESOLUTION: f64 = 0.25;
+
+    fn column(x: f32, y: f32) -> impl Iterator<Item = Point3f> {
+        (0..8).map(move |k| Point3f::new(x, y, 0.25 * k as f32 - 1.0))
+    }
+
+    /// Guard rails along x, the sparser the farther off, as a scanner at a place meets them, and posts beside them.
+    fn road(scanner: f32, posts: &[f32]) -> Vec<Point3f> {
+        let rails = (-200..=200).filter_map(|i| {
+            let tangent = 0.05 * i as f32;
+            (tangent.abs() < 9.0).then(|| scanner + 4.0 * tangent)
+        });
+        let rails = rails.flat_map(|x| [-4.0, 4.0].map(|y| column(x, y)));
+        let posts = posts.iter().map(|x| column(*x, 6.1));
+        rails.chain(posts).flatten().collect()
+    }
+
+    /// What is told if everything is believed to have been seen from x = 0, and was, after the first time, from elsewhere.
+    fn told(way: f32, posts: &[f32]) -> Posterior {
+        let settings = CorrelationSettings::default();
+        let reference = CorrelationReference::new(&road(0.0, posts), &settings);
+        let after: Vec<Point3f> =
+            road(way, posts).iter().map(|p| Point3f::new(p.x - way, p.y, p.z)).collect();
+        let along = [na::Vector2::x()];
+        reference.posterior(&na::Vector2::zeros(), &after, &along, SIGMA, 10.0).unwrap()
+    }
+
+    #[test]
+    fn posts_tell_the_way_along_a_road() {
+        let found = told(1.4, &[-22.2, -14.9, -9.4, -3.7, 3.1, 7.2, 11.7, 18.4, 26.2]);
+        assert!((found.shift.x - 1.4).abs() < RESOLUTION && found.remaining_variance < 0.5, "{found:?}");
+    }
+
+    #[test]
+    fn guard_rails_do_not_though_they_are_met_most_where_the_scanner_was() {
+        let found = told(1.4, &[]);
+        assert!(found.shift.x.abs() < 0.1 && found.remaining_variance > 0.9, "{found:?}");
+    }
+
+    #[test]
+    fn both_directions_are_told_by_trees_and_none_by_nothing() {
+        let settings = CorrelationSettings::default();
+        let trees =
+            [(3.1, 7.2), (-8.3, 2.4), (12.2, -6.4), (-4.1, -9.2), (7.7, -2.3), (-13.4, 11.1), (1.3, -15.2)];
+        let seen_from = |x: f32, y: f32| -> Vec<Point3f> {
+            trees.iter().flat_map(|(tree_x, tree_y)| column(tree_x - x, tree_y - y)).collect()
+        };
+        let ground = (-40..40)
+            .flat_map(|i| (-40..40).map(move |j| Point3f::new(0.5 * i as f32, 0.5 * j as f32, -1.5)));
+        let before: Vec<Point3f> = seen_from(0.0, 0.0).into_iter().chain(ground).collect();
+        let reference = CorrelationReference::new(&before, &settings);
+        let both = [na::Vector2::new(0.8, 0.6), na::Vector2::new(-0.6, 0.8)];
+        let posterior = |after: &[Point3f], directions: &[na::Vector2<f64>]| {
+            reference.posterior(&na::Vector2::zeros(), after, directions, SIGMA, 10.0)
+        };
+        let found = posterior(&seen_from(0.7, -0.5), &both).unwrap();
+        assert!((found.shift - Vector3::new(0.7, -0.5, 0.0)).norm() < RESOLUTION, "{found:?}");
+        assert!(found.remaining_variance < 0.1, "{found:?}");
+        assert_eq!(posterior(&[], &both), None);
+        assert_eq!(posterior(&seen_from(0.0, 0.0), &[]), None);
+    }
+}
