@@ -243,7 +243,7 @@ mod tests {
     fn road(scanner: f32, posts: &[f32]) -> Vec<Point3f> {
         let rails = (-200..=200).filter_map(|i| {
             let tangent = 0.05 * i as f32;
-            (tangent.abs() < 9.0).then(|| scanner + 4.0 * tangent)
+            (tangent.abs() < 9.0).then_some(scanner + 4.0 * tangent)
         });
         let rails = rails.flat_map(|x| [-4.0, 4.0].map(|y| column(x, y)));
         let posts = posts.iter().map(|x| column(*x, 6.1));
