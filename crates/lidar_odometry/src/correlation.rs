@@ -3,8 +3,7 @@
 //! ICRA 2009, here on columns of voxels).
 //!
 //! Nearest neighbours do not tell: the rings in which beams meet the ground, and the lines that they draw along a wall, move
-//! with the scanner, and hold it where it was. What reaches some way up does not. It is looked for among all that the other sweep
-//! saw: where beams met only part of it, it did not seem to stand upright there, and a guard rail seems to where a ring passes it.
+//! with the scanner, and hold it where it was. What reaches some way up does not.
 
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Point3f, Rigid3, Vector3, quaternion_from_angle_axis, to_f32};
@@ -17,6 +16,16 @@ impl CorrelationSettings {
     /// less than a car is high, more than slopes rise in a column.
     fn layer(&self) -> f32 {
         0.5 * self.cell
+    }
+
+    /// The layer at a height, metres, and parts of it.
+    pub(crate) fn layer_at(&self, height: f64) -> f64 {
+        (height as f32 / self.layer() + 0.5 * LAYERS).into()
+    }
+
+    /// The height of the middle of a layer, metres.
+    pub(crate) fn height_of(&self, layer: u32) -> f64 {
+        f64::from((layer as f32 + 0.5 - 0.5 * LAYERS) * self.layer())
     }
 }
 
@@ -100,16 +109,29 @@ fn turned(initial: &Rigid3, heading: f64) -> portolan_geometry::Quaternion {
     quaternion_from_angle_axis(&(Vector3::z() * heading)) * initial.rotation
 }
 
-/// The points below which there are others a little way off.
+/// The points above or below which there are others a little way off: walls, trunks, cars, but neither the ground nor a
+/// ceiling. Far points are left out.
 pub(crate) fn upright(points: &[Point3f], settings: &CorrelationSettings) -> Vec<Point3f> {
+    let below_others = |all: u64| all >> 2 | all >> 3 | all >> 4;
+    in_columns(points, |all| all & (two_to_four_above(all) | below_others(all)), settings)
+}
+
+/// The upper ones of these: below them there are others a little way off.
+pub(crate) fn above_others(points: &[Point3f], settings: &CorrelationSettings) -> Vec<Point3f> {
+    in_columns(points, |all| all & two_to_four_above(all), settings)
+}
+
+fn two_to_four_above(mask: u64) -> u64 {
+    mask << 2 | mask << 3 | mask << 4
+}
+
+/// The points in those layers of wide columns that are picked.
+fn in_columns(points: &[Point3f], pick: impl Fn(u64) -> u64, settings: &CorrelationSettings) -> Vec<Point3f> {
     let edge = 2.0 * settings.cell;
     let mut columns = Columns::of(points, edge, settings.range, [0.0; 2], settings);
-    for mask in &mut columns.masks {
-        let all = *mask;
-        *mask &= all << 2 | all << 3 | all << 4;
-    }
-    let is_upright = |p: &&Point3f| columns.contains(p, edge, settings);
-    points.iter().filter(is_upright).copied().collect()
+    columns.masks.iter_mut().for_each(|mask| *mask = pick(*mask));
+    let is_picked = |p: &&Point3f| columns.contains(p, edge, settings);
+    points.iter().filter(is_picked).copied().collect()
 }
 
 /// Columns of voxels around a scanner.
@@ -155,20 +177,29 @@ impl Columns {
         self.masks.get(column).copied().unwrap_or(0)
     }
 
-    /// Centres of columns in which there is something, metres.
-    pub fn filled_places(&self) -> impl Iterator<Item = na::Vector2<f64>> {
+    /// Columns in which there is something: their centres, metres, and layers.
+    pub fn filled(&self) -> impl Iterator<Item = (na::Vector2<f64>, u64)> {
         let (edge, half) = (f64::from(self.edge), 0.5 * f64::from(self.side));
         let centre = move |i: i32| (f64::from(i) + 0.5 - half) * edge;
         let filled = self.masks.iter().enumerate().filter(|(_, mask)| **mask != 0);
-        filled.map(move |(i, _)| na::Vector2::new(centre(i as i32 % self.side), centre(i as i32 / self.side)))
+        filled.map(move |(i, mask)| {
+            (na::Vector2::new(centre(i as i32 % self.side), centre(i as i32 / self.side)), *mask)
+        })
     }
 
-    /// Of the column around a place that was not moved; empty outside.
-    pub fn mask_at(&self, place: &na::Vector2<f64>) -> u64 {
+    /// Layers of the column around a place that was not moved, those between two beams too; empty outside.
+    pub fn solid_at(&self, place: &na::Vector2<f64>) -> u64 {
         let half = 0.5 * f64::from(self.side);
         let [x, y] = [place.x, place.y].map(|v| v / f64::from(self.edge) + half);
         let is_inside = |v: f64| v >= 0.0 && v < f64::from(self.side);
-        if is_inside(x) && is_inside(y) { self.mask(y as usize * self.side as usize + x as usize) } else { 0 }
+        let mask = if is_inside(x) && is_inside(y) {
+            self.mask(y as usize * self.side as usize + x as usize)
+        } else {
+            0
+        };
+        // What lies within a metre of others above and below.
+        let near = |shift: fn(u64, u32) -> u64| (1..=4).fold(mask, |near, by| near | shift(mask, by));
+        near(|mask, by| mask << by) & near(|mask, by| mask >> by)
     }
 
     /// Which column, and which bit of it.

@@ -9,7 +9,7 @@ use portolan_geometry::{
 };
 use portolan_sensor::voxel_filter_points;
 
-use crate::correlation::{CorrelationReference, Peak, Window};
+use crate::correlation::{CorrelationReference, Peak, Window, upright};
 use crate::deskew::PiecewiseLinearTrajectory;
 use crate::plane_map::PlaneMap;
 use crate::registration::{PosePrior, Registration, Sigmas};
@@ -218,7 +218,8 @@ impl<'a> FirstSweeps<'a> {
             let rotation = to_f32(rotation);
             points.iter().map(|p| rotation * p).collect()
         };
-        let reference = CorrelationReference::new(&level(reference, &local_from_first), settings);
+        let reference =
+            CorrelationReference::new(&upright(&level(reference, &local_from_first), settings), settings);
         let initial = local_from_first * self.believed(second) * local_from_second.inverse();
         let peaks = reference.peaks(&level(deskewed, &local_from_second), &initial, window);
         let first_from_second = |peak: Peak| local_from_first.inverse() * peak.pose * local_from_second;

@@ -10,6 +10,7 @@ use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Point3f, Vector3};
 
 use crate::correlation::{Columns, CorrelationReference};
+use crate::settings::CorrelationSettings;
 
 /// How likely what stands is met again where it stands: so much of what stands upright is, in drives.
 const MET_AGAIN: f64 = 0.8;
@@ -23,6 +24,8 @@ const REACH: f64 = 3.0;
 const STEPS: [f64; 2] = [0.25, 0.5];
 /// Directions of sight are told apart by this part of a turn.
 const SECTORS: usize = 72;
+/// Nearer by, metres, a column spans too many elevations.
+const STEEP: f64 = 3.0;
 /// Along two directions it is looked no farther, metres: the number of shifts grows with the square.
 const FARTHEST_IN_TWO: f64 = 3.0;
 
@@ -35,11 +38,14 @@ pub(crate) struct Posterior {
     pub remaining_variance: f64,
 }
 
-/// How far sweeps saw in each direction from where they were taken: what lies farther off is not known.
+/// What sweeps can have seen from where they were taken: how far in each direction, and how high and low. The rest is not known.
 struct Sight {
-    from: na::Vector2<f64>,
+    from: Vector3,
     /// Metres.
     farthest: [f64; SECTORS],
+    /// Tangents of the elevations of beams.
+    lowest: f64,
+    highest: f64,
 }
 
 /// Shifts that are tried, evenly along each direction.
@@ -64,7 +70,7 @@ impl CorrelationReference<'_> {
     /// upright.
     pub fn posterior(
         &self,
-        seen_from: &na::Vector2<f64>,
+        seen_from: &Vector3,
         upright: &[Point3f],
         directions: &[na::Vector2<f64>],
         sigma: f64,
@@ -73,10 +79,10 @@ impl CorrelationReference<'_> {
         let settings = self.settings();
         let columns = self.upright_columns(upright);
         let shifts = Shifts::new(directions, sigma, f64::from(settings.cell), settings.farthest)?;
-        let sight = Sight::of(self.columns(), *seen_from);
+        let sight = Sight::of(self.columns(), seen_from, settings);
         let mut logs = vec![0.0; shifts.tried().count()];
         for column in &columns {
-            shifts.add_to(&mut logs, column, self.columns(), &sight);
+            shifts.add_to(&mut logs, column, self.columns(), &sight, settings);
         }
         let prior = |shift: &na::Vector2<f64>| -0.5 * (shift / sigma).norm_squared();
         let tried: Vec<na::Vector2<f64>> = shifts.tried().collect();
@@ -141,7 +147,14 @@ impl<'a> Shifts<'a> {
     }
 
     /// Adds how much likelier than by chance a column is met at each shift.
-    fn add_to(&self, logs: &mut [f64], column: &Upright, reference: &Columns, sight: &Sight) {
+    fn add_to(
+        &self,
+        logs: &mut [f64],
+        column: &Upright,
+        reference: &Columns,
+        sight: &Sight,
+        settings: &CorrelationSettings,
+    ) {
         let all = self.reach + self.around;
         let side = (2 * all + 1) as usize;
         let bits = f64::from(column.mask.count_ones());
@@ -150,8 +163,9 @@ impl<'a> Shifts<'a> {
             .within(all)
             .map(|shift| {
                 let place = column.place + shift;
-                let met = (reference.mask_at(&place) & column.mask).count_ones();
-                sight.reaches(&place).then(|| f64::from(met) / bits)
+                let in_sight = column.mask & sight.layers(&place, settings);
+                let met = reference.solid_at(&place) & in_sight;
+                (in_sight != 0).then(|| f64::from(met.count_ones()) / f64::from(in_sight.count_ones()))
             })
             .collect();
         let known =
@@ -180,26 +194,42 @@ impl<'a> Shifts<'a> {
 }
 
 impl Sight {
-    fn of(columns: &Columns, from: na::Vector2<f64>) -> Self {
-        let mut sight = Self { from, farthest: [0.0; SECTORS] };
-        for place in columns.filled_places() {
+    fn of(columns: &Columns, from: &Vector3, settings: &CorrelationSettings) -> Self {
+        let mut sight =
+            Self { from: *from, farthest: [0.0; SECTORS], lowest: f64::INFINITY, highest: f64::NEG_INFINITY };
+        for (place, mask) in columns.filled() {
             let (sector, range) = sight.sector_and_range(&place);
             if let Some(farthest) = sight.farthest.get_mut(sector) {
                 *farthest = farthest.max(range);
+            }
+            if range > STEEP {
+                let [low, high] = [mask.trailing_zeros(), 63 - mask.leading_zeros()];
+                let tangent = |layer: u32| (settings.height_of(layer) - sight.from.z) / range;
+                (sight.lowest, sight.highest) =
+                    (sight.lowest.min(tangent(low)), sight.highest.max(tangent(high)));
             }
         }
         sight
     }
 
     fn sector_and_range(&self, place: &na::Vector2<f64>) -> (usize, f64) {
-        let ray = place - self.from;
+        let ray = place - self.from.xy();
         let turn = ray.y.atan2(ray.x) / std::f64::consts::TAU;
         ((turn.rem_euclid(1.0) * SECTORS as f64) as usize % SECTORS, ray.norm())
     }
 
-    fn reaches(&self, place: &na::Vector2<f64>) -> bool {
+    /// The layers of a column that can have been seen.
+    fn layers(&self, place: &na::Vector2<f64>, settings: &CorrelationSettings) -> u64 {
         let (sector, range) = self.sector_and_range(place);
-        self.farthest.get(sector).is_some_and(|farthest| range <= *farthest)
+        if !self.farthest.get(sector).is_some_and(|farthest| range <= *farthest) {
+            return 0;
+        }
+        let up_to = |tangent: f64| match settings.layer_at(self.from.z + range * tangent) {
+            layer if layer <= 0.0 => 0,
+            layer if layer >= 63.0 => u64::MAX,
+            layer => (2 << layer as u32) - 1,
+        };
+        up_to(self.highest) & !(up_to(self.lowest) >> 1)
     }
 }
 
@@ -229,7 +259,6 @@ fn moving_sum(values: &[f64], side: usize, stride: usize, half: usize) -> Vec<f6
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settings::CorrelationSettings;
 
     const SIGMA: f64 = 1.0;
     /// Half of a cell.
@@ -257,7 +286,7 @@ mod tests {
         let after: Vec<Point3f> =
             road(way, posts).iter().map(|p| Point3f::new(p.x - way, p.y, p.z)).collect();
         let along = [na::Vector2::x()];
-        reference.posterior(&na::Vector2::zeros(), &after, &along, SIGMA, 10.0).unwrap()
+        reference.posterior(&Vector3::zeros(), &after, &along, SIGMA, 10.0).unwrap()
     }
 
     #[test]
@@ -286,7 +315,7 @@ mod tests {
         let reference = CorrelationReference::new(&before, &settings);
         let both = [na::Vector2::new(0.8, 0.6), na::Vector2::new(-0.6, 0.8)];
         let posterior = |after: &[Point3f], directions: &[na::Vector2<f64>]| {
-            reference.posterior(&na::Vector2::zeros(), after, directions, SIGMA, 10.0)
+            reference.posterior(&Vector3::zeros(), after, directions, SIGMA, 10.0)
         };
         let found = posterior(&seen_from(0.7, -0.5), &both).unwrap();
         assert!((found.shift - Vector3::new(0.7, -0.5, 0.0)).norm() < RESOLUTION, "{found:?}");

@@ -7,7 +7,7 @@
 use portolan_geometry::{Point3f, Rigid3, Vector3, quaternion_from_angle_axis, to_f32};
 
 use crate::belief::FitMonitor;
-use crate::correlation::{CorrelationReference, Peak, Window};
+use crate::correlation::{CorrelationReference, Peak, Window, upright};
 use crate::hypotheses::{self, Other};
 use crate::predict::{Prediction, Reason, Registered};
 use crate::segment::{SegmentCorrection, TrajectorySegment};
@@ -37,7 +37,7 @@ impl WideSearch<'_> {
         let before: Vec<Point3f> = self.before.iter().map(|p| p - here).collect();
         let now: Vec<Point3f> =
             sweep.points.iter().map(|p| level * to_end.moved(&p.position, p.time)).collect();
-        let before = CorrelationReference::new(&before, settings);
+        let before = CorrelationReference::new(&upright(&before, settings), settings);
         let sample = self.registration.sample(sweep);
         let mut peaks = self.peaks(&before, &now, segment);
         peaks.truncate(settings.max_peaks);

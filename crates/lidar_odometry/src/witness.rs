@@ -12,7 +12,7 @@ use std::collections::VecDeque;
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Point3f, Time, Vector3, to_f32};
 
-use crate::correlation::{CorrelationReference, upright};
+use crate::correlation::{CorrelationReference, above_others};
 use crate::segment::{MotionSource, SegmentCorrection, TrajectorySegment};
 use crate::settings::{CorrelationSettings, MotionPriorSettings, OdometrySettings, WitnessSettings};
 use crate::sweep::Sweep;
@@ -177,7 +177,7 @@ impl Witness {
         let reference = CorrelationReference::new(&all_before, &self.correlation);
         let upright_after = at_scanner(&mut after.iter().flat_map(|seen| seen.upright.iter().flatten()));
         let mean_place = before.iter().map(|seen| seen.place).sum::<Vector3>() / before.len() as f64;
-        let seen_from = (mean_place - now.place).xy();
+        let seen_from = mean_place - now.place;
         let along = self.horizontal_directions();
         let posterior = reference.posterior(
             &seen_from,
@@ -250,7 +250,7 @@ impl Seen {
         let points = &self.points;
         self.upright.get_or_insert_with(|| {
             let at_scanner: Vec<Point3f> = points.iter().map(|p| p - here).collect();
-            upright(&at_scanner, settings).iter().map(|p| p + here).collect()
+            above_others(&at_scanner, settings).iter().map(|p| p + here).collect()
         });
     }
 }

@@ -42,8 +42,8 @@ settings! {
             origin: "tuned",
             larger: "gives up in open country";
         min_share: f64 = 0.38, "1", 0.0..=1.0,
-            "Where less of a sweep is met again at the best place, two sweeps do not show the same things (drives: 0.65 to 0.93; lidars that scan otherwise each time: 0.10 to 0.67 outside a museum, where they do show the same)",
-            origin: "measured (docs/experiments/2026-11-open-country.md)",
+            "Where less of a sweep is met again at the best place, two sweeps do not show the same things (drives with 16 to 64 lines: 0.40 to 0.91; lidars that scan otherwise each time: 0.04 to 0.35, one 0.44)",
+            origin: "measured (docs/experiments/2026-11-other-lidars.md)",
             larger: "slower starts";
         nearly_as_good: f64 = 0.8, "1", 0.0..=1.0,
             "Local maxima of the correlation that reach this fraction of the highest are followed",
