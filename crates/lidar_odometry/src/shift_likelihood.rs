@@ -5,6 +5,9 @@
 //! something is met wherever it is looked for, a post is not. And as beams spread, what stands near a scanner is seen more
 //! completely than the same things farther off: the share that is met again is largest where both sweeps would have been taken
 //! from the same place, though a scanner moved. So each column is compared with its own neighbourhood, not with the others.
+//!
+//! What cannot have been seen says nothing: what lies farther off than anything that was seen in that direction, above or below
+//! all beams, or between two of them. Along a bare tunnel that moves with the scanner, and would hold it where it was.
 
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Point3f, Vector3};
