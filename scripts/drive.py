@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""drive.py OUT.bag TRUTH.tum WORLD [--seed N] [--seconds S] [--speed MIN MAX] [--columns N] [--times]: a drive through made country.
+"""drive.py OUT.bag TRUTH.tum WORLD [--seed N] [--seconds S] [--speed MIN MAX] [--columns N] [--still] [--times]: a drive through made country.
 
 Sweeps of a lidar with the beams of an HDL-64E on a car, in a world that is known exactly: a road with ditches and shoulders, fields
 and their grass, trees and hedges whose leaves are never hit twice alike, posts, guard rails, houses, and cars that drive, too. What
 real drives of that kind lack is a truth better than 0.1 m; what this one lacks is everything that is not listed here.
 
 WORLD: fields (posts of the road and hardly anything else), hedges, avenue (trees on both sides), forest, village (houses and walls),
-motorway (guard rails, signs, cars). Speeds in m/s, between which the car changes; --start-gone lets it begin at speed (default), --still
-lets it stand for two seconds. --times adds a field with the time of each point after the stamp. --columns: firings a turn (2,000 of the
+motorway (guard rails, signs, cars). Speeds in m/s, between which the car changes; it is at speed when
+the recording begins, with --still it stands for two seconds first. --times adds a field with the time of each point after the stamp. --columns: firings a turn (2,000 of the
 real sensor; default 1,000). Needs numpy, scipy, numba and rosbags.
 """
 import argparse
