@@ -17,6 +17,7 @@ use crate::segment::{SegmentCorrection, TrajectorySegment};
 use crate::settings::OdometrySettings;
 use crate::sweep::Sweep;
 use crate::vertical::vertical_from_planes;
+use crate::witness::is_horizontal;
 
 /// Motions that fit by less than this share of what hypotheses need, as sweeps came, are not followed: de-skewing changes
 /// how well sweeps fit by a fifth (docs/experiments/2026-11-cpu-time.md).
@@ -50,12 +51,29 @@ pub(crate) struct Start {
     velocity: Vector3,
     /// In the tracking frame, rad/s; zero where a gyroscope measures.
     turn_rate: Vector3,
+    /// Whether planes leave a horizontal translation open, so that the velocity along it is not known well.
+    is_open: bool,
 }
 
 impl Start {
     /// m/s in the tracking frame.
     pub fn velocity_in_tracking(&self) -> Vector3 {
         self.rotation.inverse() * self.velocity
+    }
+
+    /// m/s in the local map.
+    pub fn velocity(&self) -> Vector3 {
+        self.velocity
+    }
+
+    /// Moving faster by so much, m/s in the local map.
+    pub fn faster_by(self, velocity: &Vector3) -> Self {
+        Self { velocity: self.velocity + velocity, ..self }
+    }
+
+    /// Whether planes leave a horizontal translation open, so that the velocity along it is not known well.
+    pub fn is_open(&self) -> bool {
+        self.is_open
     }
 
     /// In the tracking frame, rad/s; zero where a gyroscope measures.
@@ -80,6 +98,8 @@ struct Relative {
     motion: Rigid3,
     /// How well what tells of the motion fits there.
     fit: f64,
+    /// Translations that planes leave open, in the first sweep.
+    open: Vec<Vector3>,
 }
 
 /// What the first two sweeps say of the motion.
@@ -110,7 +130,8 @@ impl<'a> FirstSweeps<'a> {
         settings: &'a OdometrySettings,
     ) -> Vec<Start> {
         let rotation = rotation_at.map_or_else(Quaternion::identity, |rotation| rotation(first.end));
-        let start = Start { rotation, velocity: Vector3::zeros(), turn_rate: Vector3::zeros() };
+        let start =
+            Start { rotation, velocity: Vector3::zeros(), turn_rate: Vector3::zeros(), is_open: true };
         let as_mounted = Self::new(first, rotation_at, settings, start);
         let reference = as_mounted.deskewed(first);
         let planes = planes_of(&reference, settings);
@@ -172,7 +193,11 @@ impl<'a> FirstSweeps<'a> {
                 let mut found = self.registered(planes, &deskewed, &places);
                 if found.is_empty() {
                     // Single sparse sweeps may show no planes.
-                    found.extend(places.first().map(|motion| Relative { motion: *motion, fit: 0.0 }));
+                    found.extend(places.first().map(|motion| Relative {
+                        motion: *motion,
+                        fit: 0.0,
+                        open: vec![Vector3::x()],
+                    }));
                 }
                 FirstLooks::Told(found)
             }
@@ -237,7 +262,8 @@ impl<'a> FirstSweeps<'a> {
             relative = next;
             self.move_by(&relative.motion, seconds);
         }
-        let start = if self.rotation_at.is_none() { self.leveled(&self.planes()) } else { self.start };
+        let mut start = if self.rotation_at.is_none() { self.leveled(&self.planes()) } else { self.start };
+        start.is_open = relative.open.iter().any(|open| is_horizontal(&(start.rotation * open)));
         (start, relative.fit)
     }
 
@@ -308,7 +334,7 @@ impl<'a> FirstSweeps<'a> {
         let least = UNPREDICTED * self.settings.registration.min_matched_fraction;
         let is_enough = found.matched_fraction >= least || constrains_translation;
         let fit = found.evidence(self.settings.final_scale());
-        is_enough.then_some(Relative { motion: found.pose, fit })
+        is_enough.then_some(Relative { motion: found.pose, fit, open: found.degenerate.translations })
     }
 }
 

@@ -29,8 +29,10 @@ mod remembered;
 mod segment;
 pub mod settings;
 mod shift_likelihood;
+mod sight;
 mod standstill;
 mod start;
+mod start_velocity;
 mod sweep;
 mod sweep_registration;
 #[cfg(test)]

@@ -6,14 +6,20 @@
 //! completely than the same things farther off: the share that is met again is largest where both sweeps would have been taken
 //! from the same place, though a scanner moved. So each column is compared with its own neighbourhood, not with the others.
 //!
+//! One thing is one witness, however many points of it were seen, and it may move: a car that is met again wherever it has driven
+//! to says as much as a post, and no more.
+//!
 //! What cannot have been seen says nothing: what lies farther off than anything that was seen in that direction, above or below
 //! all beams, or between two of them. Along a bare tunnel that moves with the scanner, and would hold it where it was.
+
+use std::collections::BTreeMap;
 
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Point3f, Vector3};
 
 use crate::correlation::{Columns, CorrelationReference};
 use crate::settings::CorrelationSettings;
+use crate::sight::Sight;
 
 /// How likely what stands is met again where it stands: so much of what stands upright is, in drives.
 const MET_AGAIN: f64 = 0.8;
@@ -21,14 +27,16 @@ const MET_AGAIN: f64 = 0.8;
 const AROUND: f64 = 2.0;
 /// Chance is never better known than this.
 const LEAST_CHANCE: f64 = 0.05;
+/// What stands in a square of this edge, metres, is one thing: a car.
+const THING: f64 = 4.0;
+/// How likely a thing moves, or is another one: it is met as well at any other shift then.
+const OTHERWISE: f64 = 0.1;
+/// Where less than this part of the variance remains that was known before, a shift is told.
+const TOLD: f64 = 0.5;
 /// Shifts are tried up to so many standard deviations.
 const REACH: f64 = 3.0;
 /// Shifts along one and along two directions are tried in steps of this fraction of a cell.
 const STEPS: [f64; 2] = [0.25, 0.5];
-/// Directions of sight are told apart by this part of a turn.
-const SECTORS: usize = 72;
-/// Nearer by, metres, a column spans too many elevations.
-const STEEP: f64 = 3.0;
 /// Along two directions it is looked no farther, metres: the number of shifts grows with the square.
 const FARTHEST_IN_TWO: f64 = 3.0;
 
@@ -41,22 +49,13 @@ pub(crate) struct Posterior {
     pub remaining_variance: f64,
 }
 
-/// What sweeps can have seen from where they were taken: how far in each direction, and how high and low. The rest is not known.
-struct Sight {
-    from: Vector3,
-    /// Metres.
-    farthest: [f64; SECTORS],
-    /// Tangents of the elevations of beams.
-    lowest: f64,
-    highest: f64,
-}
-
 /// Shifts that are tried, evenly along each direction.
-struct Shifts<'a> {
+pub(crate) struct Shifts<'a> {
     directions: &'a [na::Vector2<f64>],
-    step: f64,
-    /// To each side.
-    reach: i32,
+    /// Metres.
+    pub step: f64,
+    /// So many steps to each side.
+    pub reach: i32,
     /// And farther out, for chance alone.
     around: i32,
 }
@@ -65,6 +64,30 @@ struct Shifts<'a> {
 struct Upright {
     place: na::Vector2<f64>,
     mask: u64,
+}
+
+impl CorrelationSettings {
+    /// What is known of a shift if nothing is (standard deviation, metres).
+    pub fn unknown(&self) -> f64 {
+        self.farthest / REACH
+    }
+
+    /// What shifts are off by, all alike for a while, as things are seen from another side, metres.
+    pub fn resolution(&self) -> f64 {
+        0.5 * f64::from(self.cell)
+    }
+
+    /// Whether a shift is told whose standard deviation was one and is another now: more than was known before, and to within a cell.
+    pub fn is_told(&self, before: f64, now: f64) -> bool {
+        now * now <= TOLD * before * before && now <= f64::from(self.cell)
+    }
+
+    /// How much of a shift is believed: it is the only sample of what it may be off by (James and Stein, "Estimation with quadratic
+    /// loss", 1961).
+    pub fn shrinkage(&self, shift: f64) -> f64 {
+        let resolution = self.resolution();
+        shift * shift / (shift * shift + resolution * resolution)
+    }
 }
 
 impl CorrelationReference<'_> {
@@ -80,20 +103,12 @@ impl CorrelationReference<'_> {
         points_per_independent_one: f64,
     ) -> Option<Posterior> {
         let settings = self.settings();
-        let columns = self.upright_columns(upright);
-        let shifts = Shifts::new(directions, sigma, f64::from(settings.cell), settings.farthest)?;
-        let sight = Sight::of(self.columns(), seen_from, settings);
-        let mut logs = vec![0.0; shifts.tried().count()];
-        for column in &columns {
-            shifts.add_to(&mut logs, column, self.columns(), &sight, settings);
-        }
-        let prior = |shift: &na::Vector2<f64>| -0.5 * (shift / sigma).norm_squared();
+        let shifts = Shifts::new(directions, sigma, settings)?;
+        let mut logs = self.log_likelihoods(seen_from, upright, &shifts, points_per_independent_one)?;
         let tried: Vec<na::Vector2<f64>> = shifts.tried().collect();
-        let logs: Vec<f64> = logs
-            .iter()
-            .zip(&tried)
-            .map(|(log, shift)| log / points_per_independent_one + prior(shift))
-            .collect();
+        for (log, shift) in logs.iter_mut().zip(&tried) {
+            *log -= 0.5 * (shift / sigma).norm_squared();
+        }
         let highest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let weights: Vec<f64> = logs.iter().map(|log| (log - highest).exp()).collect();
         let all: f64 = weights.iter().sum();
@@ -104,8 +119,34 @@ impl CorrelationReference<'_> {
                 / all
         };
         let remaining = directions.iter().map(variance).fold(0.0, f64::max) / (sigma * sigma);
-        (!columns.is_empty())
-            .then(|| Posterior { shift: Vector3::new(mean.x, mean.y, 0.0), remaining_variance: remaining })
+        Some(Posterior { shift: Vector3::new(mean.x, mean.y, 0.0), remaining_variance: remaining })
+    }
+
+    /// How likely what stands upright is met again as it is at each of the shifts, as logarithms. None where nothing stands upright.
+    pub fn log_likelihoods(
+        &self,
+        seen_from: &Vector3,
+        upright: &[Point3f],
+        shifts: &Shifts<'_>,
+        points_per_independent_one: f64,
+    ) -> Option<Vec<f64>> {
+        let sight = Sight::of(self.columns(), seen_from, self.settings());
+        let count = shifts.tried().count();
+        let mut things: BTreeMap<[i32; 2], Vec<f64>> = BTreeMap::new();
+        for column in self.upright_columns(upright) {
+            let thing = [column.place.x, column.place.y].map(|v| (v / THING).floor() as i32);
+            let logs = things.entry(thing).or_insert_with(|| vec![0.0; count]);
+            shifts.add_to(logs, &column, self.columns(), &sight, self.settings());
+        }
+        let mut all = vec![0.0; count];
+        for logs in things.values() {
+            let best = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            for (all, log) in all.iter_mut().zip(logs) {
+                let as_it_is = ((log - best) / points_per_independent_one).exp();
+                *all += (OTHERWISE + (1.0 - OTHERWISE) * as_it_is).ln();
+            }
+        }
+        (!things.is_empty()).then_some(all)
     }
 
     /// The columns of upright points, evenly if there are many.
@@ -129,8 +170,14 @@ impl CorrelationReference<'_> {
 }
 
 impl<'a> Shifts<'a> {
-    fn new(directions: &'a [na::Vector2<f64>], sigma: f64, cell: f64, farthest: f64) -> Option<Self> {
-        let step = STEPS.get(directions.len().checked_sub(1)?)? * cell;
+    /// Shifts along one or two directions (orthonormal), of which that much is known before (standard deviation, metres).
+    pub fn new(
+        directions: &'a [na::Vector2<f64>],
+        sigma: f64,
+        settings: &CorrelationSettings,
+    ) -> Option<Self> {
+        let step = STEPS.get(directions.len().checked_sub(1)?)? * f64::from(settings.cell);
+        let farthest = settings.farthest;
         let farthest = if directions.len() == 1 { farthest } else { farthest.min(FARTHEST_IN_TWO) };
         let reach = ((REACH * sigma).min(farthest) / step).ceil() as i32;
         Some(Self { directions, step, reach, around: (AROUND / step).ceil() as i32 })
@@ -193,46 +240,6 @@ impl<'a> Shifts<'a> {
     fn sums_around(&self, values: Vec<f64>, side: usize) -> Vec<f64> {
         let along = moving_sum(&values, side, 1, self.around as usize);
         if self.directions.len() == 2 { moving_sum(&along, side, side, self.around as usize) } else { along }
-    }
-}
-
-impl Sight {
-    fn of(columns: &Columns, from: &Vector3, settings: &CorrelationSettings) -> Self {
-        let mut sight =
-            Self { from: *from, farthest: [0.0; SECTORS], lowest: f64::INFINITY, highest: f64::NEG_INFINITY };
-        for (place, mask) in columns.filled() {
-            let (sector, range) = sight.sector_and_range(&place);
-            if let Some(farthest) = sight.farthest.get_mut(sector) {
-                *farthest = farthest.max(range);
-            }
-            if range > STEEP {
-                let [low, high] = [mask.trailing_zeros(), 63 - mask.leading_zeros()];
-                let tangent = |layer: u32| (settings.height_of(layer) - sight.from.z) / range;
-                (sight.lowest, sight.highest) =
-                    (sight.lowest.min(tangent(low)), sight.highest.max(tangent(high)));
-            }
-        }
-        sight
-    }
-
-    fn sector_and_range(&self, place: &na::Vector2<f64>) -> (usize, f64) {
-        let ray = place - self.from.xy();
-        let turn = ray.y.atan2(ray.x) / std::f64::consts::TAU;
-        ((turn.rem_euclid(1.0) * SECTORS as f64) as usize % SECTORS, ray.norm())
-    }
-
-    /// The layers of a column that can have been seen.
-    fn layers(&self, place: &na::Vector2<f64>, settings: &CorrelationSettings) -> u64 {
-        let (sector, range) = self.sector_and_range(place);
-        if !self.farthest.get(sector).is_some_and(|farthest| range <= *farthest) {
-            return 0;
-        }
-        let up_to = |tangent: f64| match settings.layer_at(self.from.z + range * tangent) {
-            layer if layer <= 0.0 => 0,
-            layer if layer >= 63.0 => u64::MAX,
-            layer => (2 << layer as u32) - 1,
-        };
-        up_to(self.highest) & !(up_to(self.lowest) >> 1)
     }
 }
 

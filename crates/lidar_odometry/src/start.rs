@@ -1,6 +1,7 @@
 //! The start of a trajectory: hypotheses of the first motion, judged by the sweeps that follow.
 
-use portolan_geometry::{Duration, to_f32};
+use portolan_geometry::nalgebra as na;
+use portolan_geometry::{Duration, Vector3, to_f32};
 use portolan_recall::Memory;
 use portolan_sensor::RangeData;
 
@@ -10,8 +11,12 @@ use crate::initialise::{FirstSweeps, RotationAt, Start};
 use crate::issues::Issues;
 use crate::motion_state::MotionState;
 use crate::settings::OdometrySettings;
+use crate::start_velocity::FirstSweepsPlaced;
 use crate::sweep::Sweep;
 use crate::tracker::{RegisteredSweep, Tracker};
+
+/// Velocities are corrected so many times: a wrong one blurs what tells it.
+const CORRECTIONS: usize = 3;
 
 /// Waiting for the first sweeps.
 #[derive(Clone, Debug)]
@@ -76,10 +81,19 @@ impl FirstMotion {
         let trial = Trial { settings, motion: &self.motion, memory, first, judges };
         match self.hypotheses.as_slice() {
             [] => None,
-            [only] => Some(trial.begin(*only)),
+            [only] if !only.is_open() => Some(trial.begin(*only)),
             _ if sweeps.len() < judging && !is_ended => None,
             [likeliest, others @ ..] => Some(trial.best(*likeliest, others)),
         }
+    }
+}
+
+/// Directions that planes leave open: how everything moves, and across that.
+fn directions(tracker: &Tracker, velocity: na::Vector2<f64>) -> Vec<na::Vector2<f64>> {
+    let open = tracker.open_horizontally();
+    match velocity.try_normalize(1.0) {
+        Some(along) if open.len() == 2 => vec![along, na::Vector2::new(-along.y, along.x)],
+        _ => open,
     }
 }
 
@@ -96,9 +110,27 @@ impl Trial<'_> {
         let Some(first) = self.judged(likeliest, f64::NEG_INFINITY) else { return self.begin(likeliest) };
         let clearly_better = self.settings.hypotheses.better_over_sweeps;
         let others = others.iter().map(|start| Other { motion: *start, clearly_better });
-        let best =
+        let mut best =
             hypotheses::best(first, others, |judged| judged.fit, |start, least| self.judged(start, least));
+        for _ in 0..CORRECTIONS {
+            let Some(corrected) = self.corrected(&best) else { break };
+            best = corrected;
+        }
         if self.is_final(&best.begun) { self.with_clouds(best.begun) } else { self.begin(best.start) }
+    }
+
+    /// Begins with another velocity along what planes leave open, if all sweeps together tell that, and fit about as well then.
+    fn corrected(&self, judged: &Judged) -> Option<Judged> {
+        let Begun { tracker, registered, .. } = &judged.begun;
+        if registered.iter().any(|sweep| sweep.observability.translation_is_measured) {
+            return None;
+        }
+        let placed = FirstSweepsPlaced::new(registered, self.settings);
+        let change = directions(tracker, judged.start.velocity().xy()).into_iter().find_map(|direction| {
+            placed.velocity_error(&direction).map(|error| Vector3::new(direction.x, direction.y, 0.0) * error)
+        })?;
+        let least = judged.fit / self.settings.hypotheses.better_over_sweeps;
+        self.judged(judged.start.faster_by(&change), least)
     }
 
     /// Tracks the sweeps from a start; none if they do not fit better than `least`. Of their clouds only those are kept that

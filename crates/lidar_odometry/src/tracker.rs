@@ -5,7 +5,7 @@ mod observability;
 
 use std::sync::Arc;
 
-use portolan_geometry::nalgebra::Matrix3;
+use portolan_geometry::nalgebra::{self, Matrix3};
 use portolan_geometry::{Duration, Point3f, Quaternion, Rigid3, Time, to_f32};
 use portolan_recall::{Fingerprint, Memory};
 use portolan_sensor::{PointCloud, RangeData};
@@ -162,6 +162,11 @@ impl Tracker {
             settings: settings.clone(),
         };
         (tracker, registered)
+    }
+
+    /// Horizontal translations that planes left open in the last sweep, in the local map, orthonormal.
+    pub fn open_horizontally(&self) -> Vec<nalgebra::Vector2<f64>> {
+        self.witness.horizontal_directions()
     }
 
     /// Another one that goes on from here, to try something out.

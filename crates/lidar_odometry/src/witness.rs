@@ -17,9 +17,6 @@ use crate::segment::{MotionSource, SegmentCorrection, TrajectorySegment};
 use crate::settings::{CorrelationSettings, MotionPriorSettings, OdometrySettings, WitnessSettings};
 use crate::sweep::Sweep;
 
-/// It tells where it is if less than this part of the variance that was known before remains.
-const TOLD: f64 = 0.5;
-
 /// What stood upright in the last sweeps, and what planes leave open.
 #[derive(Clone)]
 pub(crate) struct Witness {
@@ -141,7 +138,9 @@ impl Witness {
         let now = self.seen(sweep.end, points, sweep.points.len(), &here);
         let discrepancy = self.compare(now)?;
         // What a correlation does not resolve is its noise as likely as not, and an accelerometer knows better.
-        if segment.source != MotionSource::ConstantVelocity && discrepancy.shift.norm() < self.resolution() {
+        if segment.source != MotionSource::ConstantVelocity
+            && discrepancy.shift.norm() < self.correlation.resolution()
+        {
             return None;
         }
         self.correct(sweep.end, &discrepancy);
@@ -189,20 +188,17 @@ impl Witness {
         let remaining = sigma * posterior.remaining_variance.sqrt();
         let mean_age = |group: &[&Seen]| group.iter().map(|seen| age(seen)).sum::<f64>() / group.len() as f64;
         let seconds = mean_age(&before) - mean_age(&after);
-        if posterior.remaining_variance > TOLD || remaining > f64::from(self.correlation.cell) {
+        if !self.correlation.is_told(sigma, remaining) {
             return None;
         }
         let power = if self.has_told(now.end) { 2 } else { 1 };
-        // Things are seen from another side than a second before, so that shifts are off by about the resolution, all alike for a while:
-        // they are shrunk as their only sample says (James and Stein, "Estimation with quadratic loss", 1961).
-        let (squared, resolution) = (posterior.shift.norm_squared(), self.resolution());
-        let gain = squared / (squared + resolution * resolution);
-        self.told = Some(Told { at: now.end, sigma: remaining.max(resolution) });
-        Some(Discrepancy { shift: posterior.shift * gain, seconds, power })
+        self.told = Some(Told { at: now.end, sigma: remaining.max(self.correlation.resolution()) });
+        let shift = posterior.shift * self.correlation.shrinkage(posterior.shift.norm());
+        Some(Discrepancy { shift, seconds, power })
     }
 
     /// Horizontal directions that planes leave open, orthonormal.
-    fn horizontal_directions(&self) -> Vec<na::Vector2<f64>> {
+    pub fn horizontal_directions(&self) -> Vec<na::Vector2<f64>> {
         let mut found: Vec<na::Vector2<f64>> = Vec::new();
         for open in self.open.iter().filter(|open| is_horizontal(open)) {
             let rest = found.iter().fold(open.xy(), |rest, other| rest - other * other.dot(&rest));
@@ -218,15 +214,10 @@ impl Witness {
 
     /// How far off what is believed may be, metres (standard deviation).
     fn sigma(&self, end: Time) -> f64 {
-        let farthest = self.correlation.farthest / 3.0;
-        self.told.map_or(farthest, |told| {
-            (told.sigma + self.prior.by_acceleration(end.seconds_since(told.at))).min(farthest)
+        let unknown = self.correlation.unknown();
+        self.told.map_or(unknown, |told| {
+            (told.sigma + self.prior.by_acceleration(end.seconds_since(told.at))).min(unknown)
         })
-    }
-
-    /// What a correlation resolves, metres.
-    fn resolution(&self) -> f64 {
-        0.5 * f64::from(self.correlation.cell)
     }
 
     /// Moves what was seen where a discrepancy says that it is.
@@ -239,7 +230,8 @@ impl Witness {
     }
 }
 
-fn is_horizontal(direction: &Vector3) -> bool {
+/// Whether a direction in a level frame is nearer to horizontal than to vertical.
+pub(crate) fn is_horizontal(direction: &Vector3) -> bool {
     direction.z.abs() < std::f64::consts::FRAC_1_SQRT_2
 }
 

@@ -1,0 +1,61 @@
+//! What sweeps can have seen from where they were taken.
+
+use portolan_geometry::Vector3;
+use portolan_geometry::nalgebra as na;
+
+use crate::correlation::Columns;
+use crate::settings::CorrelationSettings;
+
+/// Directions of sight are told apart by this part of a turn.
+const SECTORS: usize = 72;
+/// Nearer by, metres, a column spans too many elevations.
+const STEEP: f64 = 3.0;
+/// What sweeps can have seen from where they were taken: how far in each direction, and how high and low. The rest is not known.
+pub(crate) struct Sight {
+    from: Vector3,
+    /// Metres.
+    farthest: [f64; SECTORS],
+    /// Tangents of the elevations of beams.
+    lowest: f64,
+    highest: f64,
+}
+
+impl Sight {
+    pub fn of(columns: &Columns, from: &Vector3, settings: &CorrelationSettings) -> Self {
+        let mut sight =
+            Self { from: *from, farthest: [0.0; SECTORS], lowest: f64::INFINITY, highest: f64::NEG_INFINITY };
+        for (place, mask) in columns.filled() {
+            let (sector, range) = sight.sector_and_range(&place);
+            if let Some(farthest) = sight.farthest.get_mut(sector) {
+                *farthest = farthest.max(range);
+            }
+            if range > STEEP {
+                let [low, high] = [mask.trailing_zeros(), 63 - mask.leading_zeros()];
+                let tangent = |layer: u32| (settings.height_of(layer) - sight.from.z) / range;
+                (sight.lowest, sight.highest) =
+                    (sight.lowest.min(tangent(low)), sight.highest.max(tangent(high)));
+            }
+        }
+        sight
+    }
+
+    fn sector_and_range(&self, place: &na::Vector2<f64>) -> (usize, f64) {
+        let ray = place - self.from.xy();
+        let turn = ray.y.atan2(ray.x) / std::f64::consts::TAU;
+        ((turn.rem_euclid(1.0) * SECTORS as f64) as usize % SECTORS, ray.norm())
+    }
+
+    /// The layers of a column that can have been seen.
+    pub fn layers(&self, place: &na::Vector2<f64>, settings: &CorrelationSettings) -> u64 {
+        let (sector, range) = self.sector_and_range(place);
+        if !self.farthest.get(sector).is_some_and(|farthest| range <= *farthest) {
+            return 0;
+        }
+        let up_to = |tangent: f64| match settings.layer_at(self.from.z + range * tangent) {
+            layer if layer <= 0.0 => 0,
+            layer if layer >= 63.0 => u64::MAX,
+            layer => (2 << layer as u32) - 1,
+        };
+        up_to(self.highest) & !(up_to(self.lowest) >> 1)
+    }
+}

@@ -1,0 +1,179 @@
+//! How fast everything was moving when the first sweeps came, along a direction that planes leave open.
+//!
+//! Two sweeps a tenth of a second apart tell a velocity to several metres a second: they are compared in cells of half a metre.
+//! Sweeps a second apart tell it to a twentieth of that, but at the distance from post to post others fit as well. So all pairs are
+//! compared: the late ones tell precisely what the close ones tell roughly. The likelihoods of all pairs are those of a velocity that
+//! was wrong and of an acceleration that was not known (a histogram filter, as in [`crate::shift_likelihood`]).
+
+use portolan_geometry::nalgebra as na;
+use portolan_geometry::{Point3f, Vector3, to_f32};
+use portolan_numeric::median;
+
+use crate::correlation::{CorrelationReference, above_others};
+use crate::settings::OdometrySettings;
+use crate::shift_likelihood::Shifts;
+use crate::tracker::RegisteredSweep;
+
+/// Motions are tried up to so many standard deviations.
+const REACH: f64 = 3.0;
+/// Accelerations are tried in so many steps to each side.
+const STEPS: i32 = 6;
+
+/// The first sweeps where they are believed to have been taken.
+pub(crate) struct FirstSweepsPlaced<'a> {
+    settings: &'a OdometrySettings,
+    /// Oldest first.
+    sweeps: Vec<PlacedSweep>,
+}
+
+/// A sweep in the local map, as seen from where the last one was taken.
+struct PlacedSweep {
+    /// Since the first one ended.
+    seconds: f64,
+    /// Where it was taken.
+    place: Vector3,
+    points: Vec<Point3f>,
+    upright: Vec<Point3f>,
+}
+
+/// How much farther, or less far, everything came than is believed.
+#[derive(Clone, Copy)]
+struct Motion {
+    /// Of the first sweep, m/s.
+    velocity: f64,
+    /// m/s².
+    acceleration: f64,
+}
+
+/// How likely shifts from one sweep to another are.
+struct Pair {
+    /// Seconds.
+    from: f64,
+    to: f64,
+    /// Of shifts in even steps, as logarithms: zero is that of nearly all of them.
+    logs: Vec<f64>,
+    /// Metres.
+    step: f64,
+    /// The middle of the shifts: none.
+    middle: f64,
+}
+
+impl<'a> FirstSweepsPlaced<'a> {
+    pub fn new(registered: &[RegisteredSweep], settings: &'a OdometrySettings) -> Self {
+        let place = |sweep: &RegisteredSweep| sweep.local_from_tracking.translation.vector;
+        let last = registered.last().map_or_else(Vector3::zeros, place);
+        let first_end = registered.first().map(|first| first.sweep.end);
+        let placed = |sweep: &RegisteredSweep| {
+            let place = place(sweep);
+            let in_local = sweep.deskewed.returns.transformed(&to_f32(&sweep.local_from_tracking)).points;
+            let at = |place: &Vector3| -> Vec<Point3f> {
+                let place = place.cast::<f32>();
+                in_local.iter().map(|p| p - place).collect()
+            };
+            let to_last = (place - last).cast::<f32>();
+            let upright = above_others(&at(&place), &settings.correlation);
+            PlacedSweep {
+                seconds: first_end.map_or(0.0, |first| sweep.sweep.end.seconds_since(first)),
+                place: place - last,
+                points: at(&last),
+                upright: upright.iter().map(|p| p + to_last).collect(),
+            }
+        };
+        Self { settings, sweeps: registered.iter().map(placed).collect() }
+    }
+
+    /// How much faster everything was moving along a horizontal direction at the end of the first sweep than is believed, m/s. None
+    /// where that is not told, or less than a correlation resolves.
+    pub fn velocity_error(&self, direction: &na::Vector2<f64>) -> Option<f64> {
+        let (correlation, seconds) = (&self.settings.correlation, self.sweeps.last()?.seconds);
+        let sigmas = Motion {
+            velocity: correlation.unknown() / seconds,
+            acceleration: self.settings.motion_prior.acceleration / REACH,
+        };
+        let pairs = self.pairs(direction, &sigmas);
+        let motions = motions(&sigmas, correlation.resolution() / seconds);
+        let logs: Vec<f64> = motions
+            .iter()
+            .map(|motion| {
+                motion.log_prior(&sigmas) + pairs.iter().map(|pair| pair.log_of(motion)).sum::<f64>()
+            })
+            .collect();
+        let highest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let weights: Vec<f64> = logs.iter().map(|log| (log - highest).exp()).collect();
+        let all: f64 = weights.iter().sum();
+        let mean = |value: &dyn Fn(&Motion) -> f64| {
+            motions.iter().zip(&weights).map(|(motion, weight)| weight * value(motion)).sum::<f64>() / all
+        };
+        let way = mean(&|motion| motion.way(seconds));
+        let variance = mean(&|motion| (motion.way(seconds) - way).powi(2));
+        let velocity = mean(&|motion| motion.velocity);
+        let is_told = correlation.is_told(sigmas.spread(0.0, seconds), variance.sqrt());
+        (is_told && way.abs() >= correlation.resolution()).then(|| velocity * correlation.shrinkage(way))
+    }
+
+    /// Every sweep looked for in every one before it. What sweeps before it tell of one is not independent: it counts once.
+    fn pairs(&self, direction: &na::Vector2<f64>, sigmas: &Motion) -> Vec<Pair> {
+        let correlation = &self.settings.correlation;
+        let per = self.settings.registration.points_per_independent_one;
+        let directions = [*direction];
+        let mut pairs = Vec::new();
+        for (i, before) in self.sweeps.iter().enumerate() {
+            let reference = CorrelationReference::new(&before.points, correlation);
+            for (j, after) in self.sweeps.iter().enumerate().skip(i + 1) {
+                let (from, to) = (before.seconds, after.seconds);
+                let Some(shifts) = Shifts::new(&directions, sigmas.spread(from, to), correlation) else {
+                    continue;
+                };
+                let logs = reference.log_likelihoods(&before.place, &after.upright, &shifts, per);
+                let Some(mut logs) = logs else { continue };
+                let usual = median(&mut logs.clone()).unwrap_or(0.0);
+                logs.iter_mut().for_each(|log| *log = (*log - usual) / j as f64);
+                pairs.push(Pair { from, to, logs, step: shifts.step, middle: shifts.reach.into() });
+            }
+        }
+        pairs
+    }
+}
+
+/// All motions that are tried.
+fn motions(sigmas: &Motion, velocity_step: f64) -> Vec<Motion> {
+    let velocities = (REACH * sigmas.velocity / velocity_step).ceil() as i32;
+    let acceleration_step = REACH * sigmas.acceleration / f64::from(STEPS);
+    let with = |i: i32| {
+        (-STEPS..=STEPS).map(move |j| Motion {
+            velocity: f64::from(i) * velocity_step,
+            acceleration: f64::from(j) * acceleration_step,
+        })
+    };
+    (-velocities..=velocities).flat_map(with).collect()
+}
+
+impl Motion {
+    /// Metres until a time, seconds after the first sweep.
+    fn way(&self, seconds: f64) -> f64 {
+        self.velocity * seconds + 0.5 * self.acceleration * seconds * seconds
+    }
+
+    fn log_prior(&self, sigmas: &Self) -> f64 {
+        let of = |value: f64, sigma: f64| -0.5 * (value / sigma).powi(2);
+        of(self.velocity, sigmas.velocity) + of(self.acceleration, sigmas.acceleration)
+    }
+
+    /// Of standard deviations: that of the way from one time to another.
+    fn spread(&self, from: f64, to: f64) -> f64 {
+        (self.velocity * (to - from)).hypot(0.5 * self.acceleration * (to * to - from * from))
+    }
+}
+
+impl Pair {
+    /// The likelihood of a motion. What it does not reach fits as badly as nearly all.
+    fn log_of(&self, motion: &Motion) -> f64 {
+        let shift = motion.way(self.to) - motion.way(self.from);
+        let at = shift / self.step + self.middle;
+        let log = |i: f64| (i >= 0.0).then(|| self.logs.get(i as usize)).flatten();
+        match (log(at.floor()), log(at.floor() + 1.0)) {
+            (Some(low), Some(high)) => low + (high - low) * at.fract(),
+            _ => 0.0,
+        }
+    }
+}
