@@ -64,20 +64,9 @@ impl<'a> FirstSweepsPlaced<'a> {
         let last = registered.last().map_or_else(Vector3::zeros, place);
         let first_end = registered.first().map(|first| first.sweep.end);
         let placed = |sweep: &RegisteredSweep| {
-            let place = place(sweep);
+            let seconds = first_end.map_or(0.0, |first| sweep.sweep.end.seconds_since(first));
             let in_local = sweep.deskewed.returns.transformed(&to_f32(&sweep.local_from_tracking)).points;
-            let at = |place: &Vector3| -> Vec<Point3f> {
-                let place = place.cast::<f32>();
-                in_local.iter().map(|p| p - place).collect()
-            };
-            let to_last = (place - last).cast::<f32>();
-            let upright = above_others(&at(&place), &settings.correlation);
-            PlacedSweep {
-                seconds: first_end.map_or(0.0, |first| sweep.sweep.end.seconds_since(first)),
-                place: place - last,
-                points: at(&last),
-                upright: upright.iter().map(|p| p + to_last).collect(),
-            }
+            PlacedSweep::new(seconds, &place(sweep), &in_local, &last, settings)
         };
         Self { settings, sweeps: registered.iter().map(placed).collect() }
     }
@@ -135,6 +124,27 @@ impl<'a> FirstSweepsPlaced<'a> {
     }
 }
 
+impl PlacedSweep {
+    /// Of points in the local map.
+    fn new(
+        seconds: f64,
+        place: &Vector3,
+        in_local: &[Point3f],
+        last: &Vector3,
+        settings: &OdometrySettings,
+    ) -> Self {
+        let seen_from = |place: &Vector3| -> Vec<Point3f> {
+            let place = place.cast::<f32>();
+            in_local.iter().map(|p| p - place).collect()
+        };
+        let upright = above_others(&seen_from(place), &settings.correlation);
+        let place = place - last;
+        let to_last = place.cast::<f32>();
+        let upright = upright.iter().map(|p| p + to_last).collect();
+        Self { seconds, place, points: seen_from(last), upright }
+    }
+}
+
 /// All motions that are tried.
 fn motions(sigmas: &Motion, velocity_step: f64) -> Vec<Motion> {
     let velocities = (REACH * sigmas.velocity / velocity_step).ceil() as i32;
@@ -175,5 +185,52 @@ impl Pair {
             (Some(low), Some(high)) => low + (high - low) * at.fract(),
             _ => 0.0,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn column(x: f64, y: f64) -> impl Iterator<Item = Point3f> {
+        (0..8).map(move |k| Point3f::new(x as f32, y as f32, 0.25 * k as f32 - 1.0))
+    }
+
+    /// How much faster than believed a car was that drove along x at 15 m/s and accelerated, by the first ten sweeps. Posts stand
+    /// beside the road, a guard rail is seen up to 40 m ahead and behind, and another car stays beside this one.
+    fn told(believed: f64, acceleration: f64, posts: &[f64]) -> Option<f64> {
+        let settings = OdometrySettings::default();
+        let place = |velocity: f64, seconds: f64| Vector3::x() * velocity * seconds;
+        let way = |seconds: f64| 15.0 * seconds + 0.5 * acceleration * seconds * seconds;
+        let last = place(believed, 0.9);
+        let sweeps = (0..10).map(|i| {
+            let seconds = 0.1 * f64::from(i);
+            let rail = (-100..=100).map(|i| (0.4 * f64::from(i), -4.0));
+            let posts = posts.iter().map(|x| (x - way(seconds), 6.1)).filter(|(x, _)| x.abs() < 50.0);
+            let car = (0..5).flat_map(|i| [3.0, 4.6].map(|y| (8.1 + 0.9 * f64::from(i), y)));
+            let from = place(believed, seconds);
+            let points: Vec<Point3f> =
+                rail.chain(posts).chain(car).flat_map(|(x, y)| column(x + from.x, y)).collect();
+            PlacedSweep::new(seconds, &from, &points, &last, &settings)
+        });
+        let placed = FirstSweepsPlaced { settings: &settings, sweeps: sweeps.collect() };
+        placed.velocity_error(&na::Vector2::x())
+    }
+
+    const POSTS: [f64; 8] = [-38.1, -20.4, -6.7, 4.9, 17.2, 31.8, 42.3, 57.6];
+
+    #[test]
+    fn a_wrong_velocity_is_told_by_posts() {
+        for (believed, acceleration) in [(12.0, 0.0), (18.5, 0.0), (13.5, -2.0)] {
+            let error = told(believed, acceleration, &POSTS).unwrap();
+            assert!((believed + error - 15.0).abs() < 0.6, "{believed} {acceleration}: {error}");
+        }
+    }
+
+    #[test]
+    fn what_is_right_or_not_told_stays() {
+        assert_eq!(told(15.0, 0.0, &POSTS), None);
+        // A guard rail alone, and a car that drives as fast as this one.
+        assert_eq!(told(12.0, 0.0, &[]), None);
     }
 }
