@@ -10,6 +10,7 @@ use crate::settings::CorrelationSettings;
 const SECTORS: usize = 72;
 /// Nearer by, metres, a column spans too many elevations.
 const STEEP: f64 = 3.0;
+
 /// What sweeps can have seen from where they were taken: how far in each direction, and how high and low. The rest is not known.
 pub(crate) struct Sight {
     from: Vector3,
@@ -41,7 +42,7 @@ impl Sight {
 
     fn sector_and_range(&self, place: &na::Vector2<f64>) -> (usize, f64) {
         let ray = place - self.from.xy();
-        let turn = ray.y.atan2(ray.x) / std::f64::consts::TAU;
+        let turn = about_angle(&ray) / std::f64::consts::TAU;
         ((turn.rem_euclid(1.0) * SECTORS as f64) as usize % SECTORS, ray.norm())
     }
 
@@ -57,5 +58,30 @@ impl Sight {
             layer => (2 << layer as u32) - 1,
         };
         up_to(self.highest) & !(up_to(self.lowest) >> 1)
+    }
+}
+
+/// The angle of a vector to 0.005 rad, much sooner than the arctangent.
+fn about_angle(ray: &na::Vector2<f64>) -> f64 {
+    let [x, y] = [ray.x.abs(), ray.y.abs()];
+    let ratio = x.min(y) / x.max(y).max(f64::MIN_POSITIVE);
+    let to_axis = ratio * (0.9724 - 0.1919 * ratio * ratio);
+    let in_quadrant = if x >= y { to_axis } else { std::f64::consts::FRAC_PI_2 - to_axis };
+    let in_half = if ray.x >= 0.0 { in_quadrant } else { std::f64::consts::PI - in_quadrant };
+    in_half.copysign(ray.y)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn angles_are_about_those_of_the_arctangent() {
+        for i in 0..1000 {
+            let angle = std::f64::consts::TAU * (f64::from(i) / 1000.0 - 0.5);
+            let ray = na::Vector2::new(angle.cos(), angle.sin()) * (0.1 + f64::from(i));
+            assert!((about_angle(&ray) - angle).abs() < 0.0051, "{angle} {}", about_angle(&ray));
+        }
+        assert_eq!(about_angle(&na::Vector2::zeros()), 0.0);
     }
 }
