@@ -59,14 +59,18 @@ struct Pair {
 }
 
 impl<'a> FirstSweepsPlaced<'a> {
+    /// Of those within as long as the witness of the way travelled looks back: velocities change.
     pub fn new(registered: &[RegisteredSweep], settings: &'a OdometrySettings) -> Self {
-        let place = |sweep: &RegisteredSweep| sweep.local_from_tracking.translation.vector;
-        let last = registered.last().map_or_else(Vector3::zeros, place);
         let first_end = registered.first().map(|first| first.sweep.end);
+        let seconds =
+            |sweep: &RegisteredSweep| first_end.map_or(0.0, |first| sweep.sweep.end.seconds_since(first));
+        let place = |sweep: &RegisteredSweep| sweep.local_from_tracking.translation.vector;
+        let soon = registered.partition_point(|sweep| seconds(sweep) <= settings.witness.span);
+        let registered = &registered[..soon];
+        let last = registered.last().map_or_else(Vector3::zeros, place);
         let placed = |sweep: &RegisteredSweep| {
-            let seconds = first_end.map_or(0.0, |first| sweep.sweep.end.seconds_since(first));
             let in_local = sweep.deskewed.returns.transformed(&to_f32(&sweep.local_from_tracking)).points;
-            PlacedSweep::new(seconds, &place(sweep), &in_local, &last, settings)
+            PlacedSweep::new(seconds(sweep), &place(sweep), &in_local, &last, settings)
         };
         Self { settings, sweeps: registered.iter().map(placed).collect() }
     }
@@ -74,13 +78,14 @@ impl<'a> FirstSweepsPlaced<'a> {
     /// How much faster everything was moving along a horizontal direction at the end of the first sweep than is believed, m/s. None
     /// where that is not told, or less than a correlation resolves.
     pub fn velocity_error(&self, direction: &na::Vector2<f64>) -> Option<f64> {
-        let (correlation, seconds) = (&self.settings.correlation, self.sweeps.last()?.seconds);
+        let correlation = &self.settings.correlation;
+        let seconds = self.sweeps.last().map(|last| last.seconds).filter(|seconds| *seconds > 0.0)?;
         let sigmas = Motion {
             velocity: correlation.unknown() / seconds,
             acceleration: self.settings.motion_prior.acceleration / REACH,
         };
         let pairs = self.pairs(direction, &sigmas);
-        let motions = motions(&sigmas, correlation.resolution() / seconds);
+        let motions = motions(&sigmas, 0.5 * correlation.resolution() / seconds);
         let logs: Vec<f64> = motions
             .iter()
             .map(|motion| {
