@@ -222,7 +222,7 @@ mod tests {
         placed.velocity_error(&na::Vector2::x())
     }
 
-    const POSTS: [f64; 8] = [-38.1, -20.4, -6.7, 4.9, 17.2, 31.8, 42.3, 57.6];
+    const POSTS: [f64; 11] = [-43.7, -38.1, -29.2, -20.4, -6.7, 4.9, 17.2, 25.9, 31.8, 42.3, 57.6];
 
     #[test]
     fn a_wrong_velocity_is_told_by_posts() {
