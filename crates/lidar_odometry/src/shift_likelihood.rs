@@ -16,6 +16,7 @@ use std::collections::BTreeMap;
 
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Point3f, Vector3};
+use portolan_numeric::probabilities;
 
 use crate::correlation::{Columns, CorrelationReference};
 use crate::settings::CorrelationSettings;
@@ -109,14 +110,11 @@ impl CorrelationReference<'_> {
         for (log, shift) in logs.iter_mut().zip(&tried) {
             *log -= 0.5 * (shift / sigma).norm_squared();
         }
-        let highest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let weights: Vec<f64> = logs.iter().map(|log| (log - highest).exp()).collect();
-        let all: f64 = weights.iter().sum();
-        let weighted = || tried.iter().zip(&weights);
-        let mean = weighted().map(|(shift, weight)| shift * *weight).sum::<na::Vector2<f64>>() / all;
+        let probabilities = probabilities(&logs);
+        let weighted = || tried.iter().zip(&probabilities);
+        let mean = weighted().map(|(shift, probability)| shift * *probability).sum::<na::Vector2<f64>>();
         let variance = |direction: &na::Vector2<f64>| {
-            weighted().map(|(shift, weight)| weight * direction.dot(&(shift - mean)).powi(2)).sum::<f64>()
-                / all
+            weighted().map(|(shift, p)| p * direction.dot(&(shift - mean)).powi(2)).sum::<f64>()
         };
         let remaining = directions.iter().map(variance).fold(0.0, f64::max) / (sigma * sigma);
         Some(Posterior { shift: Vector3::new(mean.x, mean.y, 0.0), remaining_variance: remaining })

@@ -7,7 +7,7 @@
 
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Point3f, Vector3, to_f32};
-use portolan_numeric::median;
+use portolan_numeric::{median, probabilities};
 
 use crate::correlation::{CorrelationReference, above_others};
 use crate::settings::OdometrySettings;
@@ -92,11 +92,9 @@ impl<'a> FirstSweepsPlaced<'a> {
                 motion.log_prior(&sigmas) + pairs.iter().map(|pair| pair.log_of(motion)).sum::<f64>()
             })
             .collect();
-        let highest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let weights: Vec<f64> = logs.iter().map(|log| (log - highest).exp()).collect();
-        let all: f64 = weights.iter().sum();
-        let mean = |value: &dyn Fn(&Motion) -> f64| {
-            motions.iter().zip(&weights).map(|(motion, weight)| weight * value(motion)).sum::<f64>() / all
+        let probabilities = probabilities(&logs);
+        let mean = |value: &dyn Fn(&Motion) -> f64| -> f64 {
+            motions.iter().zip(&probabilities).map(|(motion, probability)| probability * value(motion)).sum()
         };
         let way = mean(&|motion| motion.way(seconds));
         let variance = mean(&|motion| (motion.way(seconds) - way).powi(2));

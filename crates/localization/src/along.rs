@@ -8,6 +8,7 @@
 use nalgebra as na;
 use portolan_geometry::{Point3f, Vector3};
 use portolan_grids::{GridError, HybridGrid, VoxelIndex};
+use portolan_numeric::probabilities;
 
 use crate::submap_cells::SubmapCells;
 
@@ -104,12 +105,10 @@ impl SolidField {
         let shifts: Vec<f64> = (-count..=count).map(|i| f64::from(i) * STEP).collect();
         let sums = self.log_likelihoods(&asked, direction, &shifts).into_iter();
         let logs: Vec<f64> = sums.map(|sum| sum * points_of_one / POINTS_PER_INDEPENDENT_ONE).collect();
-        let most = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let weights: Vec<f64> = logs.iter().map(|log| (log - most).exp()).collect();
-        let all: f64 = weights.iter().sum();
-        let mean = shifts.iter().zip(&weights).map(|(s, w)| s * w).sum::<f64>() / all;
-        let squares = shifts.iter().zip(&weights).map(|(s, w)| (s - mean).powi(2) * w);
-        let variance = squares.sum::<f64>() / all + STEP * STEP / 12.0;
+        let probabilities = probabilities(&logs);
+        let mean = shifts.iter().zip(&probabilities).map(|(s, p)| s * p).sum::<f64>();
+        let squares = shifts.iter().zip(&probabilities).map(|(s, p)| (s - mean).powi(2) * p);
+        let variance = squares.sum::<f64>() + STEP * STEP / 12.0;
         let of_reach = shifts.iter().map(|s| s * s).sum::<f64>() / shifts.len() as f64 + STEP * STEP / 12.0;
         let information = (1.0 / variance - 1.0 / of_reach).max(0.0);
         if mean.is_finite() && information.is_finite() {

@@ -12,4 +12,4 @@ pub use histogram::{Histogram, HistogramBins};
 pub use latency::LatencyHistogram;
 pub use print::{counted, format_general};
 pub use random::{Lcg64, SplitMix64, scramble, splitmix64};
-pub use statistics::{mean, median, percentile, quantile, rms};
+pub use statistics::{mean, median, percentile, probabilities, quantile, rms};

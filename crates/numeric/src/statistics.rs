@@ -34,9 +34,26 @@ pub fn rms(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| (squares / values.len() as f64).sqrt())
 }
 
+/// Probabilities of alternatives, of which it is known how likely they are as logarithms, up to a common term.
+pub fn probabilities(logs: &[f64]) -> Vec<f64> {
+    let highest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let likelihoods: Vec<f64> = logs.iter().map(|log| (log - highest).exp()).collect();
+    let all: f64 = likelihoods.iter().sum();
+    likelihoods.into_iter().map(|likelihood| likelihood / all).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn probabilities_are_those_of_likelihoods_however_small() {
+        let found = probabilities(&[-1000.0, -1000.0 + 3_f64.ln(), f64::NEG_INFINITY]);
+        let differs =
+            found.iter().zip([0.25, 0.75, 0.0]).any(|(found, expected)| (found - expected).abs() > 1e-12);
+        assert!(!differs, "{found:?}");
+        assert!(probabilities(&[]).is_empty());
+    }
 
     #[test]
     fn quantiles_occur_and_percentiles_are_interpolated() {
