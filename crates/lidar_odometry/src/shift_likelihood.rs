@@ -6,8 +6,8 @@
 //! completely than the same things farther off: the share that is met again is largest where both sweeps would have been taken
 //! from the same place, though a scanner moved. So each column is compared with its own neighbourhood, not with the others.
 //!
-//! One thing is one witness, however many points of it were seen, and it may move: a car that is met again wherever it has driven
-//! to says as much as a post, and no more.
+//! Points of one object are not independent, and objects may move: the likelihood of each object is a mixture with one that says
+//! nothing, so that a car, seen with a hundred points, counts no more than a post.
 //!
 //! What cannot have been seen says nothing: what lies farther off than anything that was seen in that direction, above or below
 //! all beams, or between two of them. Along a bare tunnel that moves with the scanner, and would hold it where it was.
@@ -28,10 +28,10 @@ const MET_AGAIN: f64 = 0.8;
 const AROUND: f64 = 2.0;
 /// Chance is never better known than this.
 const LEAST_CHANCE: f64 = 0.05;
-/// What stands in a square of this edge, metres, is one thing: a car.
-const THING: f64 = 4.0;
-/// How likely a thing moves, or is another one: it is met as well at any other shift then.
-const OTHERWISE: f64 = 0.1;
+/// What stands in a square of this edge, metres, is taken for one object: about a car.
+const OBJECT: f64 = 4.0;
+/// Probability that an object moves, or is another one than before: then it may be met at any shift.
+const MOVES: f64 = 0.1;
 /// Where less than this part of the variance remains that was known before, a shift is told.
 const TOLD: f64 = 0.5;
 /// Shifts are tried up to so many standard deviations.
@@ -68,23 +68,23 @@ struct Upright {
 }
 
 impl CorrelationSettings {
-    /// What is known of a shift if nothing is (standard deviation, metres).
+    /// Standard deviation of a shift of which nothing is known, metres.
     pub fn unknown(&self) -> f64 {
         self.farthest / REACH
     }
 
-    /// What shifts are off by, all alike for a while, as things are seen from another side, metres.
+    /// Systematic error of shifts, metres: things are seen from another side, for many sweeps.
     pub fn resolution(&self) -> f64 {
         0.5 * f64::from(self.cell)
     }
 
-    /// Whether a shift is told whose standard deviation was one and is another now: more than was known before, and to within a cell.
+    /// Whether likelihoods tell a shift whose standard deviation was `before` and is `now`, metres: clearly better than before, and to
+    /// within a cell.
     pub fn is_told(&self, before: f64, now: f64) -> bool {
         now * now <= TOLD * before * before && now <= f64::from(self.cell)
     }
 
-    /// How much of a shift is believed: it is the only sample of what it may be off by (James and Stein, "Estimation with quadratic
-    /// loss", 1961).
+    /// The factor by which a shift is shrunk for its systematic error (James and Stein, "Estimation with quadratic loss", 1961).
     pub fn shrinkage(&self, shift: f64) -> f64 {
         let resolution = self.resolution();
         shift * shift / (shift * shift + resolution * resolution)
@@ -130,21 +130,21 @@ impl CorrelationReference<'_> {
     ) -> Option<Vec<f64>> {
         let sight = Sight::of(self.columns(), seen_from, self.settings());
         let count = shifts.tried().count();
-        let mut things: BTreeMap<[i32; 2], Vec<f64>> = BTreeMap::new();
+        let mut objects: BTreeMap<[i32; 2], Vec<f64>> = BTreeMap::new();
         for column in self.upright_columns(upright) {
-            let thing = [column.place.x, column.place.y].map(|v| (v / THING).floor() as i32);
-            let logs = things.entry(thing).or_insert_with(|| vec![0.0; count]);
+            let object = [column.place.x, column.place.y].map(|v| (v / OBJECT).floor() as i32);
+            let logs = objects.entry(object).or_insert_with(|| vec![0.0; count]);
             shifts.add_to(logs, &column, self.columns(), &sight, self.settings());
         }
         let mut all = vec![0.0; count];
-        for logs in things.values() {
+        for logs in objects.values() {
             let best = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
             for (all, log) in all.iter_mut().zip(logs) {
                 let as_it_is = ((log - best) / points_per_independent_one).exp();
-                *all += (OTHERWISE + (1.0 - OTHERWISE) * as_it_is).ln();
+                *all += (MOVES + (1.0 - MOVES) * as_it_is).ln();
             }
         }
-        (!things.is_empty()).then_some(all)
+        (!objects.is_empty()).then_some(all)
     }
 
     /// The columns of upright points, evenly if there are many.

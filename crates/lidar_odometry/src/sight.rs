@@ -61,7 +61,7 @@ impl Sight {
     }
 }
 
-/// The angle of a vector to 0.005 rad, much sooner than the arctangent.
+/// The angle of a vector to 0.005 rad: a polynomial, much faster than the arctangent.
 fn about_angle(ray: &na::Vector2<f64>) -> f64 {
     let [x, y] = [ray.x.abs(), ray.y.abs()];
     let ratio = x.min(y) / x.max(y).max(f64::MIN_POSITIVE);

@@ -50,7 +50,7 @@ struct Pair {
     /// Seconds.
     from: f64,
     to: f64,
-    /// Of shifts in even steps, as logarithms: zero is that of nearly all of them.
+    /// Log-likelihoods of shifts in even steps, relative to their median.
     logs: Vec<f64>,
     /// Metres.
     step: f64,
@@ -103,7 +103,7 @@ impl<'a> FirstSweepsPlaced<'a> {
         (is_told && way.abs() >= correlation.resolution()).then(|| velocity * correlation.shrinkage(way))
     }
 
-    /// Every sweep looked for in every one before it. What sweeps before it tell of one is not independent: it counts once.
+    /// Every sweep looked for in every one before it. What several earlier sweeps tell of one is not independent: together they count once.
     fn pairs(&self, direction: &na::Vector2<f64>, sigmas: &Motion) -> Vec<Pair> {
         let correlation = &self.settings.correlation;
         let per = self.settings.registration.points_per_independent_one;
