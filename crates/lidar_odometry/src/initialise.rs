@@ -98,8 +98,8 @@ struct Relative {
     motion: Rigid3,
     /// How well what tells of the motion fits there.
     fit: f64,
-    /// Translations that planes leave open, in the first sweep.
-    open: Vec<Vector3>,
+    /// Whether planes leave a horizontal translation open.
+    is_open: bool,
 }
 
 /// What the first two sweeps say of the motion.
@@ -196,7 +196,7 @@ impl<'a> FirstSweeps<'a> {
                     found.extend(places.first().map(|motion| Relative {
                         motion: *motion,
                         fit: 0.0,
-                        open: vec![Vector3::x()],
+                        is_open: true,
                     }));
                 }
                 FirstLooks::Told(found)
@@ -263,7 +263,7 @@ impl<'a> FirstSweeps<'a> {
             self.move_by(&relative.motion, seconds);
         }
         let mut start = if self.rotation_at.is_none() { self.leveled(&self.planes()) } else { self.start };
-        start.is_open = relative.open.iter().any(|open| is_horizontal(&(start.rotation * open)));
+        start.is_open = relative.is_open;
         (start, relative.fit)
     }
 
@@ -334,7 +334,9 @@ impl<'a> FirstSweeps<'a> {
         let least = UNPREDICTED * self.settings.registration.min_matched_fraction;
         let is_enough = found.matched_fraction >= least || constrains_translation;
         let fit = found.evidence(self.settings.final_scale());
-        is_enough.then_some(Relative { motion: found.pose, fit, open: found.degenerate.translations })
+        let open = &found.degenerate.translations;
+        let is_open = open.iter().any(|open| is_horizontal(&(self.start.rotation * open)));
+        is_enough.then_some(Relative { motion: found.pose, fit, is_open })
     }
 }
 

@@ -34,8 +34,8 @@ const OBJECT: f64 = 4.0;
 const MOVES: f64 = 0.1;
 /// Where less than this part of the variance remains that was known before, a shift is told.
 const TOLD: f64 = 0.5;
-/// Shifts are tried up to so many standard deviations.
-const REACH: f64 = 3.0;
+/// Shifts and motions are tried up to so many standard deviations.
+pub(crate) const REACH: f64 = 3.0;
 /// Shifts along one and along two directions are tried in steps of this fraction of a cell.
 const STEPS: [f64; 2] = [0.25, 0.5];
 /// Along two directions it is looked no farther, metres: the number of shifts grows with the square.

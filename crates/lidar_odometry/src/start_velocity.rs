@@ -11,11 +11,9 @@ use portolan_numeric::{median, probabilities};
 
 use crate::correlation::{CorrelationReference, above_others};
 use crate::settings::OdometrySettings;
-use crate::shift_likelihood::Shifts;
+use crate::shift_likelihood::{REACH, Shifts};
 use crate::tracker::RegisteredSweep;
 
-/// Motions are tried up to so many standard deviations.
-const REACH: f64 = 3.0;
 /// Accelerations are tried in so many steps to each side.
 const STEPS: i32 = 6;
 
