@@ -252,13 +252,18 @@ class Car:
             speed = speed * np.clip((times - 2) / 6, 0, 1)
         along = 5 + np.cumsum(speed) * step
         lane = LANE + smooth_noise(random, seconds + 2, step, 0.12, 3)[: len(times)]
+        if is_still:
+            # A car leaves its lane as it drives, not as time passes.
+            lane = np.interp((along - 5) / np.mean(speeds), times, lane)
         heave = smooth_noise(random, seconds + 2, step, 0.012, 0.5)[: len(times)]
         shake = [smooth_noise(random, seconds + 2, step, np.radians(d), c)[: len(times)] for d, c in ((0.35, 0.6), (0.25, 0.5))]
         place = road.beside(along, lane) + np.outer(heave + LIDAR_HEIGHT - 0.035, [0, 0, 1])
         ahead = np.gradient(place, axis=0)
         still = np.hypot(ahead[:, 0], ahead[:, 1]) < 1e-6
         heading = np.where(still, road.turn(along), np.arctan2(ahead[:, 1], ahead[:, 0]))
-        slope = np.gradient(road.place(along)[:, 2], along)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            slope = np.gradient(road.place(along)[:, 2], along)
+        slope = np.where(np.isfinite(slope), slope, road.place(along, 1)[:, 2])
         angles = np.column_stack([np.unwrap(heading), -np.arctan(slope) + shake[1], shake[0]])
         self.times, self.length = times, along[-1]
         self.place, self.angles = CubicSpline(times, place), CubicSpline(times, angles)
