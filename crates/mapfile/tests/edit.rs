@@ -376,6 +376,14 @@ fn poses_go_out_and_come_back() {
         let Some(path) = real_data(&format!("maps/reference/{name}.pbstream")) else { return };
         let mut map = draft(&path);
         let exported = map.to_graph().unwrap();
+        if let Graph::Planar(planar) = &exported {
+            let nodes = &map.pose_graph().trajectory[0].node;
+            let vertices = planar.vertices.iter().rev().zip(nodes.iter().rev());
+            for (vertex, node) in vertices {
+                let pose = project_2d(&pose_from_proto(node.pose.as_ref()).unwrap());
+                assert!((pose.inverse() * vertex.pose).angle.abs() < 0.01, "{name}: headings are the robot's");
+            }
+        }
         map.take_graph_poses(&exported).unwrap();
         let (before, after) = (graph(&path), map.pose_graph().clone());
         for (a, b) in before.trajectory[0].node.iter().zip(&after.trajectory[0].node) {

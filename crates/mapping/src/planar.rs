@@ -1,18 +1,18 @@
 //! The plane as a space to map in.
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
-use portolan_geometry::{Quaternion, Rigid3, Vector2, embed_3d, project_2d, to_f32};
-use portolan_grids::{CellBox, ScanAgreement, mean_of_solid_cells, scan_agreement};
+use portolan_geometry::{Quaternion, Rigid2, Rigid3, Vector2, Vector3, embed_3d, project_2d, to_f32};
+use portolan_grids::{CellBox, Grid2d, ScanAgreement, match_spread, mean_of_solid_cells, scan_agreement};
 use portolan_local_slam::{AT_WRONG_PLACES, LocalSlam2d, LocalSlamExtras, Planar};
 use portolan_matching::{FastCorrelativeMatcher2d, GradientMatcher2d};
 use portolan_optimization::{OptimizationData, OptimizationSummary, optimize_2d};
-use portolan_sensor::SensorId;
+use portolan_sensor::{PointCloud, SensorId};
 use portolan_submaps::{SearchWindow, Submap2d, fast_matcher_options, gradient_matcher};
 
 use crate::mapper::MapperWork;
 use crate::place_finder_2d::PlanarPlaces;
 use crate::{
-    Constraint, MapperError, MatchAcceptance, MatchedPose, NodeData, PlaceFinder, SearchRegion, Space,
+    Constraint, MapperError, MatchAcceptance, MatchedPose, NodeData, OpenShift, PlaceFinder, SearchRegion, Space,
 };
 
 /// What finds nodes in one finished submap.
@@ -23,6 +23,10 @@ pub struct PlanarMatcher {
     refinement: GradientMatcher2d,
 }
 
+/// A match tells the place along a direction if it spreads no more than this along it, metres: of those that spread less one
+/// in a hundred is wrong, of those that spread more one in three (docs/experiments/2026-11-corridor-loops.md).
+const MOST_SPREAD: f64 = 0.25;
+
 /// Beams that are not explained score so much of the probability of solid cells, all together: they end in cells that are
 /// not quite free.
 const SCORE_OF_OTHERS: f32 = 0.03;
@@ -32,6 +36,18 @@ impl PlanarMatcher {
     fn least_score(&self, acceptance: MatchAcceptance) -> f32 {
         (acceptance.min_explained.max(AT_WRONG_PLACES.explained) + SCORE_OF_OTHERS) * self.solidity
     }
+}
+
+/// The direction along which a match does not tell where a node lies within `reach` metres of `guess`.
+fn open_shift(
+    grid: &Grid2d,
+    grid_from_node: &Rigid2,
+    points: &PointCloud,
+    (guess, reach): (&Vector2, f64),
+) -> Option<OpenShift> {
+    let spread = match_spread(grid, grid_from_node, points, (guess, reach))?;
+    let is_open = spread.sigma > MOST_SPREAD;
+    is_open.then(|| OpenShift { direction: Vector3::new(spread.direction.x, spread.direction.y, 0.0) })
 }
 
 static MAPPER_WORK: MapperWork<Planar> = MapperWork::compiled();
@@ -157,7 +173,14 @@ impl Space for Planar {
             return None;
         }
         let submap_from_node = embed_3d(&(local_from_submap.inverse() * pose));
-        Some(MatchedPose { submap_from_node, score: found.score })
+        // Within the windows of a configuration places count as Cartographer counts them.
+        let open = if let SearchRegion::Window { window: Some(window), .. } = region {
+            let guess = local_from_submap * project_2d(guess_submap_from_node);
+            open_shift(&submap.grid, &pose, cloud, (&guess.translation, window.linear))
+        } else {
+            None
+        };
+        Some(MatchedPose { submap_from_node, open, score: found.score })
     }
 
     fn place_finder(submaps: &[(Rigid3, &Submap2d)]) -> Option<Box<dyn PlaceFinder>> {

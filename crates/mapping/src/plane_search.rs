@@ -207,7 +207,7 @@ fn judged(
     let fits = f64::from(judged.found.score) >= options.min_score
         && f64::from(judged.low_resolution_score) >= wanted.min_low_resolution_score
         && f64::from(judged.rotational_score) >= wanted.min_rotational_score;
-    fits.then_some(MatchedPose { submap_from_node: *submap_from_node, score: judged.found.score })
+    fits.then_some(MatchedPose { submap_from_node: *submap_from_node, open: None, score: judged.found.score })
 }
 
 #[cfg(test)]

@@ -1,10 +1,10 @@
 //! What is remembered of matches, searches and optimisations, so that a job that was cut off can go on.
 
-use portolan_geometry::Rigid3;
+use portolan_geometry::{Rigid3, Vector3};
 use portolan_optimization::{OptimizationData, OptimizationSummary, remembered_optimum};
 use portolan_recall::{Answer, Fingerprint, Memory, Sink, Words};
 
-use crate::{Constraint, MatchedPose, NodeId, SearchRegion, Space, SubmapId, TrajectoryId};
+use crate::{Constraint, MatchedPose, NodeId, OpenShift, SearchRegion, Space, SubmapId, TrajectoryId};
 use portolan_local_slam::InsertedNode;
 
 /// A memory, and what has happened to a pose graph so far.
@@ -90,11 +90,13 @@ fn add_region(question: &mut Fingerprint, region: &SearchRegion) {
 
 impl Answer for MatchedPose {
     fn write(&self, words: &mut impl Sink) {
-        (self.submap_from_node, self.score).write(words);
+        let open = self.open.map(|open| open.direction);
+        ((self.submap_from_node, self.score), open).write(words);
     }
 
     fn read(words: &mut Words<'_>) -> Option<Self> {
-        let (submap_from_node, score) = Answer::read(words)?;
-        Some(Self { submap_from_node, score })
+        let ((submap_from_node, score), open): (_, Option<Vector3>) = Answer::read(words)?;
+        let open = open.map(|direction| OpenShift { direction });
+        Some(Self { submap_from_node, open, score })
     }
 }

@@ -8,7 +8,7 @@ use portolan_sensor::SensorId;
 use portolan_submaps::SearchWindow;
 
 use crate::mapper::MapperWork;
-use crate::{Constraint, LocalSlam, LocalSpace, MapperError, MatchAcceptance, NodeData};
+use crate::{Constraint, LocalSlam, LocalSpace, MapperError, MatchAcceptance, NodeData, OpenShift};
 
 /// How far a node may be from where it is believed to be.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,6 +43,8 @@ pub enum SearchRegion {
 pub struct MatchedPose {
     /// Pose of the node (in the frame that constraints use) in the submap.
     pub submap_from_node: Rigid3,
+    /// The direction along which the match does not tell the place (2D).
+    pub open: Option<OpenShift>,
     /// Score in [0, 1].
     pub score: f32,
 }

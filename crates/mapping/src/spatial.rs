@@ -146,12 +146,12 @@ impl Space for Spatial {
                 return confirmed(submap, planes, &wanted, &initial, options);
             }
             let submap_from_node = refined_by_planes(planes, clouds, &initial)?;
-            return Some(MatchedPose { submap_from_node, score: found.found.score });
+            return Some(MatchedPose { submap_from_node, open: None, score: found.found.score });
         }
         let grids = clouds_in_grids(clouds, submap);
         let refined = matcher.refinement.match_scan(initial.translation.vector, &initial, &grids).pose;
         let submap_from_node = if is_valid_pose(&refined) { refined } else { initial };
-        Some(MatchedPose { submap_from_node, score: found.found.score })
+        Some(MatchedPose { submap_from_node, open: None, score: found.found.score })
     }
 
     fn optimize(

@@ -1,6 +1,7 @@
 //! Constraints between submaps and nodes.
 
-use portolan_geometry::Rigid3;
+use portolan_geometry::nalgebra as na;
+use portolan_geometry::{Rigid3, Vector3};
 
 use crate::{NodeId, SubmapId};
 
@@ -29,8 +30,32 @@ pub struct Constraint {
     pub rotation_weight: f64,
     /// Where it comes from.
     pub tag: ConstraintTag,
+    /// The direction along which the match does not tell the place (2D).
+    pub open: Option<OpenShift>,
     /// Match score in [0, 1] for those found by matching in this run; files do not keep it.
     pub score: Option<f32>,
+}
+
+/// A direction along which a match does not tell the place: that of a corridor whose doors look alike.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OpenShift {
+    /// Unit vector in the frame of the node.
+    pub direction: Vector3,
+}
+
+impl OpenShift {
+    /// A shift (frame of the node) without what is open of it.
+    pub fn closed_part(&self, shift: &Vector3) -> Vector3 {
+        shift - self.direction * self.direction.dot(shift)
+    }
+
+    /// Square root of the information of a match with these weights (1/m, 1/rad).
+    pub(crate) fn square_root_information(&self, (translation, rotation): (f64, f64)) -> na::Matrix6<f64> {
+        let mut root = na::Matrix6::from_diagonal_element(rotation);
+        let closed = na::Matrix3::identity() - self.direction * self.direction.transpose();
+        root.fixed_view_mut::<3, 3>(0, 0).copy_from(&(closed * translation));
+        root
+    }
 }
 
 impl Constraint {

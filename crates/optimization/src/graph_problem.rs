@@ -46,7 +46,7 @@ pub(super) trait ProblemSpace {
 
     /// Adds a relative pose with a square root of its information, by translation and rotation in the second
     /// frame; false where that is not provided for.
-    fn add_open_between(_: &mut Problem, _: [VariableId; 2], _: &Rigid3, _: &na::Matrix6<f64>) -> bool {
+    fn add_open_between(_: &mut Problem, _: [VariableId; 2], _: &Rigid3, _: &na::Matrix6<f64>, _: Loss) -> bool {
         false
     }
 
@@ -171,11 +171,17 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
             {
                 let root = open.weaken(weights, &constraint.submap_from_node, seconds);
                 let variables = [*submap, *node];
-                if S::add_open_between(&mut self.problem, variables, &constraint.submap_from_node, &root) {
+                if S::add_open_between(&mut self.problem, variables, &constraint.submap_from_node, &root, loss) {
                     continue;
                 }
             }
-            self.add_between([*submap, *node], &constraint.submap_from_node, weights, loss);
+            let variables = [*submap, *node];
+            if let Some(open) = constraint.open
+                && S::add_open_between(&mut self.problem, variables, &constraint.submap_from_node, &open.square_root_information(weights), loss)
+            {
+                continue;
+            }
+            self.add_between(variables, &constraint.submap_from_node, weights, loss);
         }
     }
 
@@ -228,7 +234,7 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
             && let Some(open) = data.open.get(&id_b)
         {
             let root = open.weaken(weights, &measured, b.time.seconds_since(a.time));
-            if S::add_open_between(&mut self.problem, variables, &measured, &root) {
+            if S::add_open_between(&mut self.problem, variables, &measured, &root, Loss::None) {
                 return;
             }
         }

@@ -14,7 +14,7 @@ mod three_d;
 mod two_d;
 
 pub use connectivity::TrajectoryConnectivity;
-pub use constraint::{Constraint, ConstraintTag};
+pub use constraint::{Constraint, ConstraintTag, OpenShift};
 pub use data::{
     FixedFrameOrigin, ImuState, LandmarkNode, LandmarkSighting, OptimizationData, OptimizationNode,
     OptimizationSummary, TrajectorySensors,

@@ -38,6 +38,7 @@ fn add_problem(question: &mut Fingerprint, data: &OptimizationData, constraints:
         question.add([c.submap_id.trajectory_id.0, c.submap_id.index]);
         question.add([c.node_id.trajectory_id.0, c.node_id.index]);
         question.add((c.submap_from_node, [c.translation_weight, c.rotation_weight]));
+        question.add(c.open.map(|open| open.direction));
     }
     for (id, sensors) in &data.sensors {
         question

@@ -106,7 +106,7 @@ impl<'a> SpatialProblem<'a> {
         let measured = a.local_from_node.inverse() * b.local_from_node;
         let root = open.only_open_shifts(&measured, b.time.seconds_since(a.time));
         let Some(variables) = self.graph.node_pair(id_a, id_b) else { return };
-        InSpace::add_open_between(&mut self.graph.problem, variables, &measured, &root);
+        InSpace::add_open_between(&mut self.graph.problem, variables, &measured, &root, Loss::None);
     }
 
     /// Where fixes, but no IMU, tell which way is up: the start is about level.
@@ -292,6 +292,7 @@ impl ProblemSpace for InSpace {
         variables: [VariableId; 2],
         measured: &Rigid3,
         root: &na::Matrix6<f64>,
+        loss: Loss,
     ) -> bool {
         let factor = factors::Se3BetweenInformation {
             variables,
@@ -299,7 +300,7 @@ impl ProblemSpace for InSpace {
             square_root_information: *root,
             convention: factors::Se3ErrorConvention::DoubledQuaternion,
         };
-        problem.add_factor(factor, Loss::None).is_ok()
+        problem.add_factor(factor, loss).is_ok()
     }
 
     fn landmark(

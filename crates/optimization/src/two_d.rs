@@ -1,8 +1,9 @@
 //! The optimisation problem in 2D (`slam2d.md` §14.6).
 
 use portolan_config::OptimizationProblemOptions;
+use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Rigid3, embed_3d, project_2d};
-use portolan_solver::{Problem, VariableId, factors};
+use portolan_solver::{Loss, Problem, VariableId, factors};
 
 use super::data::{LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary};
 use super::graph_problem::{GraphProblem, ProblemSpace, Role, SightingBetweenNodes, Weights, follows};
@@ -64,6 +65,22 @@ impl ProblemSpace for InPlane {
             translation_weight,
             rotation_weight,
         }
+    }
+
+    fn add_open_between(
+        problem: &mut Problem,
+        variables: [VariableId; 2],
+        measured: &Rigid3,
+        root: &na::Matrix6<f64>,
+        loss: Loss,
+    ) -> bool {
+        let in_plane = [0, 1, 5];
+        let factor = factors::Se2BetweenInformation {
+            variables,
+            measurement: project_2d(measured),
+            square_root_information: na::Matrix3::from_fn(|row, column| root[(in_plane[row], in_plane[column])]),
+        };
+        problem.add_factor(factor, loss).is_ok()
     }
 
     fn landmark(

@@ -333,6 +333,7 @@ impl<'a, S: MapSpace> Loading<'a, S> {
             translation_weight: constraint.translation_weight,
             rotation_weight: constraint.rotation_weight,
             tag,
+            open: None,
             score: None,
         };
         Ok(self.graph.load_constraint(constraint))

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use portolan_geometry::{Dimension, Quaternion, Rigid2, Rigid3, embed_3d, project_2d};
+use portolan_geometry::{Dimension, Quaternion, Rigid2, Rigid3, embed_3d, project_2d, yaw};
 use portolan_mapping::{Planar, Space};
 use portolan_solver::g2o::{Edge, Graph, GraphPose, PoseGraph, Vertex};
 
@@ -13,7 +13,8 @@ use portolan_pbstream::{IdInFile, node_id, pose_from_proto, submap_id, submap_po
 impl MapDraft {
     /// The map as a pose graph: its submaps, ascending by id, are the vertices from 0 on, its nodes the
     /// vertices after them; its constraints are the edges, in their order, with the squares of their weights
-    /// as information (per metre and per radian). The first submap is fixed. In 2D nodes are gravity-aligned.
+    /// as information (per metre and per radian). The first submap is fixed. In 2D nodes are levelled: the
+    /// tracking frame without its roll and pitch, heading kept.
     ///
     /// # Errors
     /// If the files cannot be read or a node lacks its poses.
@@ -24,7 +25,7 @@ impl MapDraft {
         }
         let planar = |pose: &Rigid3, id: Option<IdInFile>| {
             let gravity = id.and_then(|id| gravity.get(&id)).copied().unwrap_or_else(Quaternion::identity);
-            project_2d(&Planar::graph_pose(pose, &gravity))
+            project_2d(&Planar::graph_pose(pose, &gravity)) * heading_of(&gravity)
         };
         Ok(Graph::Planar(self.build_graph(planar, planar_information)))
     }
@@ -92,13 +93,22 @@ impl MapDraft {
         let mut ordered = poses.into_values();
         let new_submaps = submaps.keys().copied().zip(ordered.by_ref()).collect();
         let new_nodes = nodes.keys().copied().zip(ordered).map(|(id, pose)| match gravity.get(&id) {
-            Some(gravity) if !spatial => (id, Planar::tracking_pose(&pose, gravity)),
+            Some(gravity) if !spatial => {
+                let aligned = pose * embed_3d(&heading_of(gravity).inverse());
+                (id, Planar::tracking_pose(&aligned, gravity))
+            }
             _ => (id, pose),
         });
         let new_nodes = new_nodes.collect();
         self.set_poses(&new_submaps, &new_nodes);
         Ok(())
     }
+}
+
+/// The turn about the vertical from a gravity-aligned node of the pose graph to its tracking frame. The
+/// alignment of a node turns about the vertical, too, as local SLAM integrates it from the first scan on.
+fn heading_of(gravity_alignment: &Quaternion) -> Rigid2 {
+    Rigid2::new(0.0, 0.0, yaw(gravity_alignment))
 }
 
 fn squared(weight: f64) -> Option<f64> {

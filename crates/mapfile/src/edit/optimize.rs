@@ -125,6 +125,7 @@ impl MapDraft {
                     Tag::IntraSubmap => ConstraintTag::IntraSubmap,
                     Tag::InterSubmap => ConstraintTag::InterSubmap,
                 },
+                open: None,
                 score: None,
             })
         });

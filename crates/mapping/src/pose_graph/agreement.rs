@@ -14,7 +14,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use portolan_geometry::{Rigid3, Vector3, rotation_angle};
 
 use super::PoseGraph;
-use crate::{Constraint, NodeId, Space, TrajectoryId, of_trajectory};
+use crate::{Constraint, NodeId, OpenShift, Space, TrajectoryId, of_trajectory};
 
 /// Matches agree if the places that they say differ by no more than this, metres and radians: the drift of
 /// a few submaps.
@@ -37,6 +37,8 @@ struct WaitingMatch {
     earlier_from_later: Rigid3,
     /// Where it was found, in the map frame of the later part, metres.
     place_in_later: Vector3,
+    /// The direction along which it does not tell the place, in the map frame of the earlier part.
+    open: Option<OpenShift>,
 }
 
 impl WaitingMatch {
@@ -132,7 +134,13 @@ impl<S: Space> PoseGraph<S> {
     fn bending_match(&self, constraint: &Constraint) -> Option<WaitingMatch> {
         let submap_time = self.state.time_of_last_node(self.state.submaps.get(&constraint.submap_id)?)?;
         let is_node_later = submap_time < self.problem.nodes.get(&constraint.node_id)?.time;
-        self.as_waiting(constraint, is_node_later)
+        let waiting = self.as_waiting(constraint, is_node_later)?;
+        let earlier_from_node = match is_node_later {
+            true => self.problem.submaps.get(&constraint.submap_id)? * constraint.submap_from_node,
+            false => self.problem.nodes.get(&constraint.node_id)?.map_from_node,
+        };
+        let turned = |open: OpenShift| OpenShift { direction: earlier_from_node.rotation * open.direction };
+        Some(WaitingMatch { open: constraint.open.map(turned), ..waiting })
     }
 
     /// Where a match says that the later of what it relates lies, the node or the submap.
@@ -146,12 +154,33 @@ impl<S: Space> PoseGraph<S> {
             false => (found_from_known.inverse(), found),
         };
         let place_in_later = place.translation.vector;
-        Some(WaitingMatch { constraint: constraint.clone(), earlier_from_later, place_in_later })
+        Some(WaitingMatch { constraint: constraint.clone(), earlier_from_later, place_in_later, open: None })
     }
 
     pub(super) fn take(&mut self, constraint: Constraint) {
         self.connect_by(&constraint);
         self.state.constraints.push(constraint);
+    }
+
+    /// Once the map is what all others make it: loop closures that left a direction open tell the place along it, too, if the
+    /// map agrees, and there are no other places that look alike so near; the rest is said to lie along it where the map
+    /// says. Returns whether there were any.
+    pub(super) fn settle_open_loop_closures(&mut self) -> bool {
+        let mut constraints = std::mem::take(&mut self.state.constraints);
+        let mut is_any = false;
+        for constraint in &mut constraints {
+            let (Some(open), Some(error)) = (constraint.open, self.error_of(constraint)) else { continue };
+            let along = open.direction.dot(&error.translation.vector);
+            if along.abs() <= MAX_TRANSLATION {
+                constraint.open = None;
+                is_any = true;
+            } else {
+                let shift = open.direction * along;
+                constraint.submap_from_node *= Rigid3::translation(shift.x, shift.y, shift.z);
+            }
+        }
+        self.state.constraints = constraints;
+        is_any
     }
 
     fn fits(&self, constraint: &Constraint) -> bool {
@@ -246,9 +275,10 @@ fn agreed(waiting: &mut Vec<WaitingMatch>, needed: usize) -> Option<Vec<WaitingM
 /// Compared where the scans lie: far from the origin a small turn moves much.
 fn agree(a: &WaitingMatch, b: &WaitingMatch) -> bool {
     let place = nalgebra::Point3::from((a.place_in_later + b.place_in_later) / 2.0);
-    let apart = (a.earlier_from_later * place - b.earlier_from_later * place).norm();
+    let apart = a.earlier_from_later * place - b.earlier_from_later * place;
+    let apart = [a, b].iter().filter_map(|m| m.open).fold(apart, |apart, open| open.closed_part(&apart));
     let turned = rotation_angle(&(a.earlier_from_later.inverse() * b.earlier_from_later));
-    apart <= MAX_TRANSLATION && turned <= MAX_ROTATION
+    apart.norm() <= MAX_TRANSLATION && turned <= MAX_ROTATION
 }
 
 #[cfg(test)]
@@ -266,13 +296,14 @@ mod tests {
             translation_weight: 1.0,
             rotation_weight: 1.0,
             tag: ConstraintTag::InterSubmap,
+            open: None,
             score: Some(0.75),
         };
         let earlier_from_later = Rigid3::from_parts(
             Vector3::new(x, 0.0, 0.0).into(),
             Quaternion::from_axis_angle(&Vector3::z_axis(), yaw),
         );
-        WaitingMatch { constraint, earlier_from_later, place_in_later: Vector3::zeros() }
+        WaitingMatch { constraint, earlier_from_later, place_in_later: Vector3::zeros(), open: None }
     }
 
     #[test]

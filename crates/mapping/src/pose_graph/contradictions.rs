@@ -51,11 +51,18 @@ impl<S: Space> PoseGraph<S> {
         dropped
     }
 
-    /// Metres and radians between what the constraint says and what the graph says.
+    /// Metres and radians between what the constraint says and what the graph says, where the constraint says anything.
     pub(super) fn disagreement(&self, constraint: &Constraint) -> Option<(f64, f64)> {
+        let error = self.error_of(constraint)?;
+        let shift = error.translation.vector;
+        let shift = constraint.open.map_or(shift, |open| open.closed_part(&shift));
+        Some((shift.norm(), rotation_angle(&error)))
+    }
+
+    /// The node's pose as the graph says, seen from the pose that the constraint says.
+    pub(super) fn error_of(&self, constraint: &Constraint) -> Option<Rigid3> {
         let map_from_submap = self.problem.submaps.get(&constraint.submap_id)?;
         let map_from_node = self.problem.nodes.get(&constraint.node_id)?.map_from_node;
-        let error: Rigid3 = constraint.submap_from_node.inverse() * map_from_submap.inverse() * map_from_node;
-        Some((error.translation.vector.norm(), rotation_angle(&error)))
+        Some(constraint.submap_from_node.inverse() * map_from_submap.inverse() * map_from_node)
     }
 }

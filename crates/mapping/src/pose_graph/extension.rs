@@ -136,6 +136,7 @@ impl<S: Space> PoseGraph<S> {
                 translation_weight: self.options.matcher_translation_weight,
                 rotation_weight: self.options.matcher_rotation_weight,
                 tag: ConstraintTag::IntraSubmap,
+                open: None,
                 score: None,
             });
         }
@@ -183,6 +184,7 @@ impl<S: Space> PoseGraph<S> {
             translation_weight: options.loop_closure_translation_weight,
             rotation_weight: options.loop_closure_rotation_weight,
             tag: ConstraintTag::InterSubmap,
+            open: None,
             score: None,
         }
     }

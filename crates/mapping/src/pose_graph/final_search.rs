@@ -7,14 +7,14 @@
 //! And a pair is tried where the map says that the node is when it is tried. Later loop closures move it: places that lie
 //! beside each other in the optimised map, with a long way between them, are tried again there.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use portolan_geometry::Vector3;
 use portolan_sensor::FixedRatioSampler;
 
 use super::PoseGraph;
 use super::policy::Spacing;
-use super::travel::TravelGraph;
+use super::travel::{Lengths, TravelGraph};
 use crate::{NodeId, Space, SubmapId};
 
 /// So often the optimised map is searched at most; each time because the time before found something.
@@ -60,7 +60,7 @@ impl<S: Space> PoseGraph<S> {
     /// Untied pairs that lie beside each other, with a long way between them; of each submap and trajectory one in
     /// `spacing` metres of way.
     fn distant_neighbours(&self, travel: &TravelGraph) -> Vec<(SubmapId, NodeId)> {
-        let (mut spacing, mut lengths) = (Spacing::default(), BTreeMap::new());
+        let (mut spacing, mut lengths) = (Spacing::default(), Lengths::default());
         let mut of_submap: Option<SubmapId> = None;
         let mut pairs = self.untied_pairs();
         pairs.retain(|pair| {
@@ -68,9 +68,9 @@ impl<S: Space> PoseGraph<S> {
             if of_submap.replace(submap_id) != Some(submap_id) {
                 (spacing, lengths) = (Spacing::default(), travel.lengths_from(submap_id));
             }
-            let length = travel.submap_of(node_id).and_then(|of_node| lengths.get(&of_node));
+            let length = travel.submap_of(node_id).and_then(|of_node| lengths.of_place(of_node));
             let way = self.ways.get(&node_id).copied().unwrap_or(0.0);
-            length.is_some_and(|length| *length >= LONG_WAY)
+            length.is_some_and(|length| length >= LONG_WAY)
                 && spacing.is_due(*pair, way, self.policy.loops.spacing)
         });
         pairs

@@ -61,6 +61,7 @@ impl<S: Space> PoseGraph<S> {
             translation_weight: 1.0 / gap.bridge.translation,
             rotation_weight: 1.0 / gap.bridge.rotation,
             tag: ConstraintTag::InterSubmap,
+            open: None,
             score: None,
         })
     }

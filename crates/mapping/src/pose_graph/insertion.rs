@@ -105,6 +105,7 @@ impl<S: Space> PoseGraph<S> {
                 translation_weight: self.options.matcher_translation_weight,
                 rotation_weight: self.options.matcher_rotation_weight,
                 tag: ConstraintTag::IntraSubmap,
+                open: None,
                 score: None,
             });
         }

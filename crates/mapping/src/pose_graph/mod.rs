@@ -303,6 +303,9 @@ impl<S: Space> PoseGraph<S> {
             self.run_optimization();
         }
         self.search_missed();
+        if self.settle_open_loop_closures() {
+            self.run_optimization();
+        }
         if self.policy.drops_contradicted && self.drop_contradicted_loop_closures() > 0 {
             self.run_optimization();
         }

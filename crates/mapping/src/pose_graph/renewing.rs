@@ -321,6 +321,7 @@ mod tests {
                     translation_weight: 1.0,
                     rotation_weight: 1.0,
                     tag: ConstraintTag::IntraSubmap,
+                    open: None,
                     score: None,
                 });
                 assert!(loaded);

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::matcher_cache::MatcherCache;
 use super::policy::{LoopSearchPolicy, Spacing};
 use super::sampling::Samplers;
-use super::travel::TravelGraph;
+use super::travel::{Lengths, TravelGraph};
 use crate::histogram::Histogram;
 use crate::remembered::Remembered;
 use crate::stop::Stop;
@@ -34,13 +34,15 @@ impl<S: Space> SearchTask<S> {
     fn set_travelled(
         &mut self,
         travel: &TravelGraph,
-        lengths: &BTreeMap<SubmapId, f64>,
+        lengths: &Lengths,
         policy: LoopSearchPolicy,
     ) {
         if let SearchRegion::Window { travelled, window, .. } = &mut self.region {
-            let length = travel.submap_of(self.node_id).and_then(|of_node| lengths.get(&of_node));
-            *travelled = length.copied().unwrap_or(f64::INFINITY);
-            *window = (policy.drift > 0.0).then(|| policy.window(*travelled));
+            let of_node = travel.submap_of(self.node_id);
+            let length = |length: Option<f64>| length.unwrap_or(f64::INFINITY);
+            *travelled = length(of_node.and_then(|id| lengths.of_place(id)));
+            let turned = length(of_node.and_then(|id| lengths.of_heading(id)));
+            *window = (policy.drift > 0.0).then(|| policy.window(*travelled, turned));
         }
     }
 }
@@ -275,12 +277,9 @@ impl<S: Space> ConstraintSearch<S> {
         let policy = self.policy;
         let farthest = self.options.max_constraint_distance;
         let is_needless = |task: &SearchTask<S>| {
-            let SearchRegion::Window { travelled, .. } = task.region else { return false };
-            if policy.drift == 0.0 {
-                return false;
-            }
+            let SearchRegion::Window { travelled, window: Some(window), .. } = task.region else { return false };
             let distance = task.guess_submap_from_node.translation.vector.norm();
-            if distance > farthest + policy.window(travelled).linear {
+            if distance > farthest + window.linear {
                 return true;
             }
             policy.spacing > 0.0 && !self.spacings.entry(task.submap_id).or_default().is_telling(travelled)
@@ -348,6 +347,7 @@ fn constraint_of<S: Space>(
         translation_weight: options.loop_closure_translation_weight,
         rotation_weight: options.loop_closure_rotation_weight,
         tag: ConstraintTag::InterSubmap,
+        open: found.open,
         score: Some(found.score),
     }
 }

@@ -17,7 +17,9 @@ const LENGTH_OF_LOOP_CLOSURE: f64 = 2.0;
 /// Submaps and the paths between neighbouring ones, metres.
 #[derive(Clone, Debug, Default)]
 pub(super) struct TravelGraph {
-    neighbours: BTreeMap<SubmapId, BTreeMap<SubmapId, f64>>,
+    neighbours: Neighbours,
+    /// Loop closures that leave a direction open tie headings, but not places.
+    open: Neighbours,
     /// The first submap that each node was inserted into.
     submap_of_node: BTreeMap<NodeId, SubmapId>,
 }
@@ -51,19 +53,18 @@ impl TravelGraph {
             }
         }
         for constraint in state.constraints.iter().filter(|c| c.is_loop_closure()) {
-            if let Some(of_node) = graph.submap_of_node.get(&constraint.node_id) {
-                graph.connect(*of_node, constraint.submap_id, LENGTH_OF_LOOP_CLOSURE);
+            if let Some(of_node) = graph.submap_of_node.get(&constraint.node_id).copied() {
+                match constraint.open {
+                    None => graph.connect(of_node, constraint.submap_id, LENGTH_OF_LOOP_CLOSURE),
+                    Some(_) => connect(&mut graph.open, (of_node, constraint.submap_id), LENGTH_OF_LOOP_CLOSURE),
+                }
             }
         }
         graph
     }
 
     fn connect(&mut self, a: SubmapId, b: SubmapId, length: f64) {
-        let length = if length.is_finite() { length } else { f64::MAX };
-        for (from, to) in [(a, b), (b, a)] {
-            let known = self.neighbours.entry(from).or_default().entry(to).or_insert(length);
-            *known = known.min(length);
-        }
+        connect(&mut self.neighbours, (a, b), length);
     }
 
     /// The first submap that a node was inserted into.
@@ -71,23 +72,61 @@ impl TravelGraph {
         self.submap_of_node.get(&node_id).copied()
     }
 
-    /// The shortest ways from one submap to all that can be reached, metres (Dijkstra).
-    pub fn lengths_from(&self, start: SubmapId) -> BTreeMap<SubmapId, f64> {
-        let mut lengths = BTreeMap::new();
-        let mut waiting = BinaryHeap::from([Reached { length: 0.0, at: start }]);
-        while let Some(Reached { length, at }) = waiting.pop() {
-            if lengths.contains_key(&at) {
-                continue;
-            }
-            lengths.insert(at, length);
-            for (next, way) in self.neighbours.get(&at).into_iter().flatten() {
-                if !lengths.contains_key(next) {
-                    waiting.push(Reached { length: length + way, at: *next });
-                }
+    /// The shortest ways from one submap to all that can be reached, metres.
+    pub fn lengths_from(&self, start: SubmapId) -> Lengths {
+        let place = shortest(start, &[&self.neighbours]);
+        let heading = (!self.open.is_empty()).then(|| shortest(start, &[&self.neighbours, &self.open]));
+        Lengths { place, heading }
+    }
+}
+
+/// The shortest ways from a submap to others.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Lengths {
+    place: BTreeMap<SubmapId, f64>,
+    /// Over loop closures that leave a direction open, too; none where there are none.
+    heading: Option<BTreeMap<SubmapId, f64>>,
+}
+
+impl Lengths {
+    /// Over which the place drifts.
+    pub fn of_place(&self, submap_id: SubmapId) -> Option<f64> {
+        self.place.get(&submap_id).copied()
+    }
+
+    /// Over which the heading drifts.
+    pub fn of_heading(&self, submap_id: SubmapId) -> Option<f64> {
+        self.heading.as_ref().unwrap_or(&self.place).get(&submap_id).copied()
+    }
+}
+
+/// Neighbouring submaps and the lengths of the ways between them, metres.
+type Neighbours = BTreeMap<SubmapId, BTreeMap<SubmapId, f64>>;
+
+fn connect(neighbours: &mut Neighbours, (a, b): (SubmapId, SubmapId), length: f64) {
+    let length = if length.is_finite() { length } else { f64::MAX };
+    for (from, to) in [(a, b), (b, a)] {
+        let known = neighbours.entry(from).or_default().entry(to).or_insert(length);
+        *known = known.min(length);
+    }
+}
+
+/// The shortest ways from one submap over the neighbours of all of these (Dijkstra).
+fn shortest(start: SubmapId, neighbours: &[&Neighbours]) -> BTreeMap<SubmapId, f64> {
+    let mut lengths = BTreeMap::new();
+    let mut waiting = BinaryHeap::from([Reached { length: 0.0, at: start }]);
+    while let Some(Reached { length, at }) = waiting.pop() {
+        if lengths.contains_key(&at) {
+            continue;
+        }
+        lengths.insert(at, length);
+        for (next, way) in neighbours.iter().filter_map(|n| n.get(&at)).flatten() {
+            if !lengths.contains_key(next) {
+                waiting.push(Reached { length: length + way, at: *next });
             }
         }
-        lengths
     }
+    lengths
 }
 
 /// The nearest is the greatest.
@@ -124,11 +163,17 @@ mod tests {
             graph.connect(id(0, i), id(0, i + 1), 5.0);
         }
         graph.connect(id(1, 0), id(1, 1), f64::NAN);
-        assert_eq!(graph.lengths_from(id(0, 2))[&id(0, 9)], 35.0);
-        assert!(!graph.lengths_from(id(0, 2)).contains_key(&id(1, 0)));
+        let lengths = |graph: &TravelGraph, to: SubmapId| {
+            let lengths = graph.lengths_from(id(0, 2));
+            (lengths.of_place(to), lengths.of_heading(to))
+        };
+        assert_eq!(lengths(&graph, id(0, 9)), (Some(35.0), Some(35.0)));
+        assert_eq!(lengths(&graph, id(1, 0)), (None, None));
         graph.connect(id(0, 0), id(0, 10), LENGTH_OF_LOOP_CLOSURE);
         graph.connect(id(0, 0), id(0, 10), 80.0);
-        assert_eq!(graph.lengths_from(id(0, 2))[&id(0, 9)], 17.0);
-        assert_eq!(graph.lengths_from(id(5, 5)).len(), 1);
+        assert_eq!(lengths(&graph, id(0, 9)), (Some(17.0), Some(17.0)));
+        connect(&mut graph.open, (id(0, 2), id(0, 9)), LENGTH_OF_LOOP_CLOSURE);
+        assert_eq!(lengths(&graph, id(0, 9)), (Some(17.0), Some(2.0)));
+        assert_eq!(graph.lengths_from(id(5, 5)).of_place(id(5, 5)), Some(0.0));
     }
 }

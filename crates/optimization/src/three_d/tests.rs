@@ -39,6 +39,7 @@ fn golden() -> (OptimizationData, Vec<Constraint>) {
             translation_weight: weights.0,
             rotation_weight: weights.1,
             tag: if loop_closure { ConstraintTag::InterSubmap } else { ConstraintTag::IntraSubmap },
+            open: None,
             score: None,
         });
     };
@@ -179,6 +180,7 @@ fn fixes_along_a_straight_way_do_not_roll_the_map() {
                 translation_weight: 500.0,
                 rotation_weight: 1600.0,
                 tag: ConstraintTag::IntraSubmap,
+                open: None,
                 score: None,
             });
             // Heights differ between the lanes by what houses reflect.

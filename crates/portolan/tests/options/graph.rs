@@ -227,6 +227,7 @@ fn loops_after_final_optimization(options: &Options) -> f64 {
             translation_weight: 100.0,
             rotation_weight: 100.0,
             tag,
+            open: None,
             score,
         };
         graph.load_constraint(constraint(ConstraintTag::IntraSubmap, None, Vector3::zeros()));

@@ -40,6 +40,7 @@ fn row() -> (OptimizationData, Vec<Constraint>) {
             translation_weight: 10.0,
             rotation_weight: 10.0,
             tag,
+            open: None,
             score: None,
         });
     };

@@ -1,0 +1,130 @@
+//! How well a match tells where a scan lies in a grid: along a corridor whose doors look alike it hardly does.
+
+use std::f64::consts::PI;
+
+use nalgebra::Vector2;
+use portolan_geometry::Rigid2;
+use portolan_numeric::probabilities;
+use portolan_sensor::PointCloud;
+
+use super::{Grid2d, ProbabilityGrid};
+
+/// Directions are compared by the likelihood of shifts along them: so many over half a turn by short shifts, and the best of
+/// them more and more finely by longer ones, so that a wall is still met at its end. Metres, and parts of them.
+const COARSE_DIRECTIONS: u32 = 18;
+const COARSE_SHIFT: f64 = 0.4;
+const FINER: [(f64, f64); 2] = [(8.0, 1.5), (32.0, 5.0)];
+const PARTS: [f64; 8] = [-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0];
+/// Submaps are bent a little: each place is the best of those so many cells to both sides.
+const ACROSS: i32 = 2;
+/// What cells do not explain of a point: people, glass, what has changed.
+const UNEXPLAINED: f64 = 0.1;
+/// How probable it is that a cell of which nothing is known stops a beam.
+const UNKNOWN: f64 = 0.3;
+/// A scan lies in the grid if so much of it ends in cells that are known.
+const KNOWN_SHARE: f64 = 0.5;
+/// Neighbouring points share the errors of the grid, so that so many count as one: places of right matches then scatter as
+/// they say, and of those that say less than 0.25 m one in a hundred is wrong (docs/experiments/2026-11-corridor-loops.md).
+const POINTS_PER_INDEPENDENT_ONE: f64 = 10.0;
+/// So many points are asked, evenly from all of them.
+const MOST_POINTS: usize = 90;
+/// Metres around the match that are looked at in any case.
+const LEAST_REACH: f64 = 1.0;
+
+/// The direction in which a match tells least.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MatchSpread {
+    /// Unit vector in the frame of the scan.
+    pub direction: Vector2<f64>,
+    /// Root mean square of how far the scan may be from the match along it, metres.
+    pub sigma: f64,
+}
+
+/// How far a scan may be from where it was found (frame of the grid) along the direction in which it tells least: the
+/// likelihood of all places along it (a histogram filter of one dimension: Thrun, Burgard and Fox, "Probabilistic Robotics",
+/// §4.1) that are as far as `reach` metres from `guess` or near the match. None for distance fields and without points.
+pub fn match_spread(
+    grid: &Grid2d,
+    grid_from_scan: &Rigid2,
+    points: &PointCloud,
+    (guess, reach): (&Vector2<f64>, f64),
+) -> Option<MatchSpread> {
+    let Grid2d::Probability(grid) = grid else { return None };
+    let ends = Ends::new(grid, grid_from_scan, points)?;
+    let direction = ends.least_telling_direction();
+    let step = grid.limits().resolution();
+    let from_guess = (guess - grid_from_scan.translation).dot(&direction);
+    let first = ((from_guess - reach).min(-LEAST_REACH) / step).floor() as i64;
+    let last = ((from_guess + reach).max(LEAST_REACH) / step).ceil() as i64;
+    let across = Vector2::new(-direction.y, direction.x) * step;
+    let shifts: Vec<f64> = (first..=last).map(|i| i as f64 * step).collect();
+    let best_near = |shift: &f64| {
+        let beside = (-ACROSS..=ACROSS).map(|i| direction * *shift + across * f64::from(i));
+        let inside = beside.map(|shift| ends.at(&shift)).filter(|place| place.known >= KNOWN_SHARE);
+        inside.map(|place| place.log_likelihood).fold(f64::NEG_INFINITY, f64::max)
+    };
+    let logs: Vec<f64> = shifts.iter().map(best_near).collect();
+    let square: f64 = shifts.iter().zip(probabilities(&logs)).map(|(shift, p)| shift * shift * p).sum();
+    let scan_from_grid = Rigid2::new(0.0, 0.0, -grid_from_scan.angle);
+    square.is_finite().then(|| MatchSpread {
+        direction: scan_from_grid.transform_point(&direction),
+        sigma: square.sqrt(),
+    })
+}
+
+/// What the grid says of a scan at a place.
+struct Place {
+    log_likelihood: f64,
+    /// Share of the points that end in cells that are known.
+    known: f64,
+}
+
+/// Where the beams of a scan end.
+struct Ends<'a> {
+    grid: &'a ProbabilityGrid,
+    ends: Vec<Vector2<f64>>,
+    /// Of all points of the scan.
+    independent: f64,
+}
+
+impl<'a> Ends<'a> {
+    fn new(grid: &'a ProbabilityGrid, grid_from_scan: &Rigid2, points: &PointCloud) -> Option<Self> {
+        let all = points.points.len();
+        let end = |point: &portolan_geometry::Point3f| {
+            grid_from_scan.transform_point(&Vector2::new(f64::from(point.x), f64::from(point.y)))
+        };
+        let ends: Vec<_> = points.points.iter().step_by(all.div_ceil(MOST_POINTS).max(1)).map(end).collect();
+        (all > 0).then_some(Self { grid, ends, independent: all as f64 / POINTS_PER_INDEPENDENT_ONE })
+    }
+
+    fn least_telling_direction(&self) -> Vector2<f64> {
+        let coarse = PI / f64::from(COARSE_DIRECTIONS);
+        let likelihood = |angle: f64, farthest: f64| -> f64 {
+            let direction = Vector2::new(angle.cos(), angle.sin());
+            PARTS.into_iter().map(|part| self.at(&(direction * (part * farthest))).log_likelihood).sum()
+        };
+        let best = |angles: &mut dyn Iterator<Item = f64>, farthest: f64| {
+            let judged = angles.map(|angle| (angle, likelihood(angle, farthest)));
+            judged.max_by(|(_, a), (_, b)| a.total_cmp(b)).map_or(0.0, |(angle, _)| angle)
+        };
+        let first = best(&mut (0..COARSE_DIRECTIONS).map(|i| f64::from(i) * coarse), COARSE_SHIFT);
+        let angle = FINER.iter().fold(first, |angle, (parts, farthest)| {
+            best(&mut (-4..=4).map(|i| angle + f64::from(i) * coarse / parts), *farthest)
+        });
+        Vector2::new(angle.cos(), angle.sin())
+    }
+
+    /// The scan moved by `shift`.
+    fn at(&self, shift: &Vector2<f64>) -> Place {
+        let (mut likelihood, mut known) = (1.0, 0u32);
+        for end in &self.ends {
+            let cell = self.grid.limits().cell_index((end + shift).cast::<f32>());
+            let is_known = self.grid.is_known(cell);
+            known += u32::from(is_known);
+            let solid = if is_known { f64::from(self.grid.probability(cell)) } else { UNKNOWN };
+            likelihood *= UNEXPLAINED + (1.0 - UNEXPLAINED) * solid;
+        }
+        let count = self.ends.len() as f64;
+        Place { log_likelihood: likelihood.ln() * self.independent / count, known: f64::from(known) / count }
+    }
+}
