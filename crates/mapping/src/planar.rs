@@ -27,6 +27,9 @@ pub struct PlanarMatcher {
 /// in a hundred is wrong, of those that spread more one in three (docs/experiments/2026-11-corridor-loops.md).
 const MOST_SPREAD: f64 = 0.25;
 
+/// So far along a corridor a scan is compared with the submap that it was drawn in, metres: over some doors.
+const OWN_REACH: f64 = 6.0;
+
 /// Beams that are not explained score so much of the probability of solid cells, all together: they end in cells that are
 /// not quite free.
 const SCORE_OF_OTHERS: f32 = 0.03;
@@ -123,6 +126,12 @@ impl Space for Planar {
             return None;
         }
         scan_agreement(&submap.grid, &local_from_node, &node.filtered_gravity_aligned_point_cloud)
+    }
+
+    fn leaves_open(submap: &Submap2d, node: &NodeData, submap_from_node: &Rigid3) -> bool {
+        let pose = project_2d(&(submap.local_from_submap * submap_from_node));
+        let cloud = &node.filtered_gravity_aligned_point_cloud;
+        open_shift(&submap.grid, &pose, cloud, (&pose.translation, OWN_REACH)).is_some()
     }
 
     fn find_node(

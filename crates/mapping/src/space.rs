@@ -167,6 +167,11 @@ pub trait Space: LocalSpace {
         None
     }
 
+    /// Whether the scan of a node at a pose in the submap leaves a direction open; never in 3D, where planes tell.
+    fn leaves_open(_submap: &Self::Submap, _node: &NodeData, _submap_from_node: &Rigid3) -> bool {
+        false
+    }
+
     /// Looks for the node in the submap and refines what is found.
     fn find_node(
         matcher: &Self::Matcher,

@@ -48,6 +48,7 @@ impl<S: Space> PoseGraph<S> {
             let travel = TravelGraph::new(&self.state, &self.ways);
             self.schedule(self.distant_neighbours(&travel), most);
             let before = self.state.constraints.len();
+            let travel = self.travel_graph();
             let found = self.search.run(&travel, &self.remembered);
             self.add_found(found);
             if self.state.constraints.len() == before {

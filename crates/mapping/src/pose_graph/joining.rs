@@ -6,7 +6,6 @@ use portolan_sensor::FixedRatioSampler;
 
 use super::PoseGraph;
 use super::policy::{GOLDEN, LoopSearchPolicy};
-use super::travel::TravelGraph;
 use crate::{NodeId, Space, SubmapId, TrajectoryId, of_trajectory};
 
 /// So many nodes of a trajectory are searched in whole submaps before looking whether enough matches agree, and in
@@ -149,7 +148,8 @@ impl<S: Space> PoseGraph<S> {
         }
         // Every pair tells something of how the two lie, however short the path over others is.
         self.search.set_policy(LoopSearchPolicy { spacing: 0.0, ..self.loop_search() });
-        let found = self.search.run(&TravelGraph::new(&self.state, &self.ways), &self.remembered);
+        let travel = self.travel_graph();
+        let found = self.search.run(&travel, &self.remembered);
         self.search.set_policy(self.loop_search());
         self.add_found(found);
     }

@@ -16,6 +16,7 @@ mod joining;
 mod lifelong;
 mod localisation;
 mod matcher_cache;
+mod open_nodes;
 mod patching;
 mod patching_3d;
 mod places;
@@ -47,7 +48,6 @@ pub use state::{
     Gap, GraphState, InitialTrajectoryPose, SubmapEntry, TrajectoryEntry, TrajectoryState, TrimmedTies,
 };
 use summary_ties::SummaryTies;
-use travel::TravelGraph;
 pub use trimmed_nodes::{TrimmedNode, TrimmedNodes};
 pub use trimming::Trimmer;
 
@@ -59,6 +59,7 @@ use portolan_local_slam::{InsertedNode, UsualAgreement};
 use portolan_optimization::{LandmarkSighting, OptimizationData, OptimizationSummary, unused_fixes};
 use portolan_recall::Memory;
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, OdometryData};
+use open_nodes::OpenNodes;
 use sampling::WholeSubmapTurns;
 use search::ConstraintSearch;
 
@@ -84,6 +85,7 @@ pub struct PoseGraph<S: Space> {
     policy: PoseGraphPolicy,
     /// How far nodes are along their trajectories, metres.
     ways: BTreeMap<NodeId, f64>,
+    open_nodes: OpenNodes,
     contradicted: u64,
     /// Trajectories that began where a scanner was lost, without a place in the rest.
     pieces: BTreeSet<TrajectoryId>,
@@ -118,6 +120,7 @@ impl<S: Space> PoseGraph<S> {
             nodes_since_optimization: 0,
             policy: PoseGraphPolicy::default(),
             ways: BTreeMap::new(),
+            open_nodes: OpenNodes::default(),
             contradicted: 0,
             pieces: BTreeSet::new(),
             tied_by_odometry: BTreeSet::new(),
@@ -280,7 +283,8 @@ impl<S: Space> PoseGraph<S> {
 
     /// Tries the pairs that wait, adds what was found, optimises, and trims.
     pub fn optimize(&mut self) {
-        let found = self.search.run(&TravelGraph::new(&self.state, &self.ways), &self.remembered);
+        let travel = self.travel_graph();
+        let found = self.search.run(&travel, &self.remembered);
         self.add_found(found);
         self.run_optimization();
         self.delete_requested_trajectories();

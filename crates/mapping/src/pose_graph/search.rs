@@ -1,7 +1,7 @@
 //! Finding nodes in submaps: which pairs are tried, and trying them in parallel
 //! (`slam2d.md` §13).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use portolan_config::ConstraintBuilderOptions;
@@ -40,8 +40,11 @@ impl<S: Space> SearchTask<S> {
         if let SearchRegion::Window { travelled, window, .. } = &mut self.region {
             let of_node = travel.submap_of(self.node_id);
             let length = |length: Option<f64>| length.unwrap_or(f64::INFINITY);
-            *travelled = length(of_node.and_then(|id| lengths.of_place(id)));
             let turned = length(of_node.and_then(|id| lengths.of_heading(id)));
+            *travelled = match travel.open_nodes.contains(&self.node_id) {
+                true => turned,
+                false => length(of_node.and_then(|id| lengths.of_place(id))),
+            };
             *window = (policy.drift > 0.0).then(|| policy.window(*travelled, turned));
         }
     }
@@ -135,6 +138,11 @@ impl<S: Space> ConstraintSearch<S> {
             acceptance: self.policy.acceptance,
         };
         self.push(submap_id, submap, node_id, node, guess_submap_from_node, region);
+    }
+
+    /// The nodes of the pairs that wait.
+    pub(super) fn waiting_nodes(&self) -> BTreeSet<NodeId> {
+        self.tasks.iter().filter(|task| is_window(task.region)).map(|task| task.node_id).collect()
     }
 
     /// Adds a pair whose relative pose is unknown.

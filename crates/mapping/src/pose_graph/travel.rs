@@ -5,7 +5,7 @@
 //! to be searched.
 
 use std::cmp::Ordering;
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
 use crate::{NodeId, Space, SubmapId, of_trajectory};
 
@@ -20,6 +20,8 @@ pub(super) struct TravelGraph {
     neighbours: Neighbours,
     /// Loop closures that leave a direction open tie headings, but not places.
     open: Neighbours,
+    /// Nodes that do not tell where along a corridor they are.
+    pub open_nodes: BTreeSet<NodeId>,
     /// The first submap that each node was inserted into.
     submap_of_node: BTreeMap<NodeId, SubmapId>,
 }

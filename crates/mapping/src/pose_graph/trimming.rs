@@ -234,6 +234,7 @@ impl<S: Space> PoseGraph<S> {
             };
             self.state.trimmed_nodes.add(id, trimmed, anchor);
             self.ways.remove(&id);
+            self.open_nodes.forget(id);
             self.problem.trim_node(id);
         }
     }

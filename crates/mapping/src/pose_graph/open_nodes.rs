@@ -1,0 +1,59 @@
+//! Nodes whose scans do not tell where along a corridor they were taken.
+//!
+//! Where a direction is open in the very submap that the scan was drawn in, it is open in others, too: however far along the
+//! corridor such a node is looked for, the place found is one of many. Its loop closures tie heading and walls, which drift
+//! less than the place.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use rayon::prelude::*;
+
+use super::PoseGraph;
+use super::travel::TravelGraph;
+use crate::{NodeId, Space};
+
+/// Whether nodes leave a direction open, as far as they were asked.
+#[derive(Clone, Debug, Default)]
+pub(super) struct OpenNodes {
+    known: BTreeMap<NodeId, bool>,
+}
+
+impl OpenNodes {
+    /// Whether a node is known to leave a direction open.
+    pub fn contains(&self, node_id: NodeId) -> bool {
+        self.known.get(&node_id) == Some(&true)
+    }
+
+    /// Forgets a node.
+    pub fn forget(&mut self, node_id: NodeId) {
+        self.known.remove(&node_id);
+    }
+}
+
+impl<S: Space> PoseGraph<S> {
+    /// The ways in the map as it is, for searching the pairs that wait.
+    pub(super) fn travel_graph(&mut self) -> TravelGraph {
+        let mut travel = TravelGraph::new(&self.state, &self.ways);
+        if self.policy.loops.drift > 0.0 {
+            let waiting = self.search.waiting_nodes();
+            self.ask_nodes(&waiting, &travel);
+            travel.open_nodes = waiting.into_iter().filter(|id| self.open_nodes.contains(*id)).collect();
+        }
+        travel
+    }
+
+    /// Asks nodes whose first submap is finished.
+    fn ask_nodes(&mut self, nodes: &BTreeSet<NodeId>, travel: &TravelGraph) {
+        let unknown: Vec<NodeId> =
+            nodes.iter().copied().filter(|id| !self.open_nodes.known.contains_key(id)).collect();
+        let ask = |node_id: &NodeId| {
+            let entry = self.state.submaps.get(&travel.submap_of(*node_id)?)?;
+            let local_from_node = self.problem.nodes.get(node_id)?.local_from_node;
+            let submap_from_node = entry.local_from_submap.inverse() * local_from_node;
+            let data = &self.state.nodes.get(node_id)?.data;
+            Some((*node_id, S::leaves_open(entry.submap.as_ref()?, data, &submap_from_node)))
+        };
+        let answers: Vec<(NodeId, bool)> = unknown.par_iter().filter_map(ask).collect();
+        self.open_nodes.known.extend(answers);
+    }
+}
