@@ -27,6 +27,8 @@ LOGS = [
     ("fr101-rawodo", "fr101-rawodo/fr101-rawodo.clf.bz2", "fr101-rawodo/fr101-rawodo.relations", False, []),
     ("orebro", "orebro/orebro.clf.bz2", "orebro/orebro.relations", False, []),
     ("fhw", "fhw/fhw.clf.bz2", "fhw/fhw.relations", False, []),
+    # Made by g2o_to_log.py; not in the data folder.
+    ("killian", "killian/killian.clf.bz2", "killian/killian.relations", False, []),
 ]
 
 

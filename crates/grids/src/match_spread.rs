@@ -66,10 +66,9 @@ pub fn match_spread(
     let logs: Vec<f64> = shifts.iter().map(best_near).collect();
     let square: f64 = shifts.iter().zip(probabilities(&logs)).map(|(shift, p)| shift * shift * p).sum();
     let scan_from_grid = Rigid2::new(0.0, 0.0, -grid_from_scan.angle);
-    square.is_finite().then(|| MatchSpread {
-        direction: scan_from_grid.transform_point(&direction),
-        sigma: square.sqrt(),
-    })
+    square
+        .is_finite()
+        .then(|| MatchSpread { direction: scan_from_grid.transform_point(&direction), sigma: square.sqrt() })
 }
 
 /// What the grid says of a scan at a place.
@@ -126,5 +125,94 @@ impl<'a> Ends<'a> {
         }
         let count = self.ends.len() as f64;
         Place { log_likelihood: likelihood.ln() * self.independent / count, known: f64::from(known) / count }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use portolan_geometry::Point3f;
+
+    use super::*;
+    use crate::MapLimits;
+
+    /// Walls of a corridor along a direction, seen from `along`: doors lie deeper every four metres; with `end`, so does a
+    /// wall across.
+    fn walls(along: f64, half_length: f64, end: Option<f64>) -> Vec<Vector2<f64>> {
+        let steps = (half_length / 0.05) as i32;
+        let sides = (-steps..=steps).map(|i| along + 0.05 * f64::from(i)).flat_map(|x| {
+            let depth = if x.rem_euclid(4.0) < 1.0 { 0.3 } else { 0.0 };
+            [Vector2::new(x, 1.01 + depth), Vector2::new(x, -1.01 - depth)]
+        });
+        let across = (-50..=50).filter_map(|i| Some(Vector2::new(end?, 0.02 * f64::from(i))));
+        sides.chain(across).filter(|wall| end.is_none_or(|end| wall.x <= end)).collect()
+    }
+
+    /// How far a scan that was taken at the origin of a corridor along a direction spreads, looked for within 10 m.
+    fn spread(heading: f64, end: Option<f64>) -> MatchSpread {
+        let map_from_corridor = Rigid2::new(0.0, 0.0, heading);
+        let limits = MapLimits::new(0.05, Vector2::new(15.0, 15.0), 600, 600).unwrap();
+        let mut grid = ProbabilityGrid::new(limits);
+        for free in (-260..=260).flat_map(|i| (-25..=25).map(move |j| (i, j))) {
+            let place = Vector2::new(0.05 * f64::from(free.0), 0.05 * f64::from(free.1));
+            let cell = grid.limits().cell_index(map_from_corridor.transform_point(&place).cast::<f32>());
+            grid.set_probability(cell, 0.15);
+        }
+        let mut solid = ProbabilityGrid::new(*grid.limits());
+        // Walls are as thick as scans that differ by a cell draw them.
+        for wall in walls(0.0, 13.0, end).into_iter().flat_map(around) {
+            let cell = solid.limits().cell_index(map_from_corridor.transform_point(&wall).cast::<f32>());
+            solid.set_probability(cell, 0.9);
+        }
+        let scan_from_map = Rigid2::new(0.0, 0.0, 0.7).inverse();
+        let points = walls(0.0, 5.0, end).into_iter().map(|wall| {
+            let seen = scan_from_map.transform_point(&map_from_corridor.transform_point(&wall));
+            Point3f::new(seen.x as f32, seen.y as f32, 0.0)
+        });
+        let points = PointCloud::new(points.collect());
+        let merged = merge(&grid, &solid);
+        match_spread(
+            &Grid2d::Probability(merged),
+            &Rigid2::new(0.0, 0.0, 0.7),
+            &points,
+            (&Vector2::zeros(), 10.0),
+        )
+        .unwrap()
+    }
+
+    fn around(place: Vector2<f64>) -> impl Iterator<Item = Vector2<f64>> {
+        (-1..=1).flat_map(move |i| {
+            (-1..=1).map(move |j| place + Vector2::new(f64::from(i), f64::from(j)) * 0.025)
+        })
+    }
+
+    /// What is solid in one grid, on top of another.
+    fn merge(below: &ProbabilityGrid, above: &ProbabilityGrid) -> ProbabilityGrid {
+        let mut merged = ProbabilityGrid::new(*below.limits());
+        for cell in (0..600).flat_map(|x| (0..600).map(move |y| crate::CellIndex::new(x, y))) {
+            let of = if above.is_known(cell) { above } else { below };
+            if of.is_known(cell) {
+                merged.set_probability(cell, of.probability(cell));
+            }
+        }
+        merged
+    }
+
+    #[test]
+    fn doors_that_look_alike_leave_the_way_along_a_corridor_open() {
+        for heading in [0.0, 0.4, -1.2] {
+            let open = spread(heading, None);
+            // Every fourth metre is as likely as the place itself.
+            assert!(open.sigma > 3.0, "{open:?}");
+            let along = Vector2::new((heading - 0.7_f64).cos(), (heading - 0.7).sin());
+            assert!(open.direction.dot(&along).abs() > 0.9999, "{open:?}");
+        }
+    }
+
+    #[test]
+    fn the_end_of_a_corridor_tells_the_place() {
+        for heading in [0.0, 0.4, -1.2] {
+            let closed = spread(heading, Some(4.0));
+            assert!(closed.sigma < 0.1, "{closed:?}");
+        }
     }
 }

@@ -381,7 +381,10 @@ fn poses_go_out_and_come_back() {
             let vertices = planar.vertices.iter().rev().zip(nodes.iter().rev());
             for (vertex, node) in vertices {
                 let pose = project_2d(&pose_from_proto(node.pose.as_ref()).unwrap());
-                assert!((pose.inverse() * vertex.pose).angle.abs() < 0.01, "{name}: headings are the robot's");
+                assert!(
+                    (pose.inverse() * vertex.pose).angle.abs() < 0.01,
+                    "{name}: headings are the robot's"
+                );
             }
         }
         map.take_graph_poses(&exported).unwrap();

@@ -36,7 +36,8 @@ pub use portolan_motion::{
 };
 /// The words in which maps are told.
 pub use portolan_optimization::{
-    Constraint, ConstraintTag, IndexedId, NodeId, OpenDirections, OpenShift, SubmapId, TrajectoryId, of_trajectory,
+    Constraint, ConstraintTag, IndexedId, NodeId, OpenDirections, OpenShift, SubmapId, TrajectoryId,
+    of_trajectory,
 };
 pub use pose_graph::{
     CellFate, Coverage, Extension, GraphState, InitialTrajectoryPose, LoopSearchPolicy, PoseGraph,

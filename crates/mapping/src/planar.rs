@@ -12,7 +12,8 @@ use portolan_submaps::{SearchWindow, Submap2d, fast_matcher_options, gradient_ma
 use crate::mapper::MapperWork;
 use crate::place_finder_2d::PlanarPlaces;
 use crate::{
-    Constraint, MapperError, MatchAcceptance, MatchedPose, NodeData, OpenShift, PlaceFinder, SearchRegion, Space,
+    Constraint, MapperError, MatchAcceptance, MatchedPose, NodeData, OpenShift, PlaceFinder, SearchRegion,
+    Space,
 };
 
 /// What finds nodes in one finished submap.

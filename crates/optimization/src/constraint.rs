@@ -64,3 +64,23 @@ impl Constraint {
         self.tag == ConstraintTag::InterSubmap
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_counts_along_an_open_direction() {
+        let open = OpenShift { direction: Vector3::new(0.6, 0.8, 0.0) };
+        assert!(open.closed_part(&Vector3::new(3.0, 4.0, 0.0)).norm() < 1e-12);
+        assert!(
+            (open.closed_part(&Vector3::new(-0.8, 0.6, 0.5)) - Vector3::new(-0.8, 0.6, 0.5)).norm() < 1e-12
+        );
+        let root = open.square_root_information((500.0, 1600.0));
+        let residual = root * na::Vector6::new(3.0 - 0.8, 4.0 + 0.6, 0.0, 0.0, 0.0, 0.1);
+        assert!(
+            (residual - na::Vector6::new(-400.0, 300.0, 0.0, 0.0, 0.0, 160.0)).norm() < 1e-9,
+            "{residual}"
+        );
+    }
+}

@@ -46,7 +46,13 @@ pub(super) trait ProblemSpace {
 
     /// Adds a relative pose with a square root of its information, by translation and rotation in the second
     /// frame; false where that is not provided for.
-    fn add_open_between(_: &mut Problem, _: [VariableId; 2], _: &Rigid3, _: &na::Matrix6<f64>, _: Loss) -> bool {
+    fn add_open_between(
+        _: &mut Problem,
+        _: [VariableId; 2],
+        _: &Rigid3,
+        _: &na::Matrix6<f64>,
+        _: Loss,
+    ) -> bool {
         false
     }
 
@@ -171,13 +177,25 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
             {
                 let root = open.weaken(weights, &constraint.submap_from_node, seconds);
                 let variables = [*submap, *node];
-                if S::add_open_between(&mut self.problem, variables, &constraint.submap_from_node, &root, loss) {
+                if S::add_open_between(
+                    &mut self.problem,
+                    variables,
+                    &constraint.submap_from_node,
+                    &root,
+                    loss,
+                ) {
                     continue;
                 }
             }
             let variables = [*submap, *node];
             if let Some(open) = constraint.open
-                && S::add_open_between(&mut self.problem, variables, &constraint.submap_from_node, &open.square_root_information(weights), loss)
+                && S::add_open_between(
+                    &mut self.problem,
+                    variables,
+                    &constraint.submap_from_node,
+                    &open.square_root_information(weights),
+                    loss,
+                )
             {
                 continue;
             }

@@ -78,7 +78,9 @@ impl ProblemSpace for InPlane {
         let factor = factors::Se2BetweenInformation {
             variables,
             measurement: project_2d(measured),
-            square_root_information: na::Matrix3::from_fn(|row, column| root[(in_plane[row], in_plane[column])]),
+            square_root_information: na::Matrix3::from_fn(|row, column| {
+                root[(in_plane[row], in_plane[column])]
+            }),
         };
         problem.add_factor(factor, loss).is_ok()
     }

@@ -340,6 +340,16 @@ mod tests {
     }
 
     #[test]
+    fn what_is_open_does_not_contradict() {
+        let along =
+            |direction: Vector3| WaitingMatch { open: Some(OpenShift { direction }), ..at(0, 1.0, 0.0) };
+        assert!(agree(&along(Vector3::x()), &at(1, 6.0, 0.0)));
+        assert!(agree(&at(1, 6.0, 0.0), &along(Vector3::x())));
+        assert!(!agree(&along(Vector3::y()), &at(1, 6.0, 0.0)));
+        assert!(!agree(&along(Vector3::x()), &at(1, 1.0, 0.2)));
+    }
+
+    #[test]
     fn one_scan_in_three_submaps_counts_once() {
         let mut waiting = vec![at(4, 1.0, 0.0), at(4, 1.1, 0.0), at(4, 0.9, 0.0)];
         assert!(agreed(&mut waiting, 3).is_none());

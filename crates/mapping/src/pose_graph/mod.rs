@@ -52,6 +52,7 @@ pub use trimmed_nodes::{TrimmedNode, TrimmedNodes};
 pub use trimming::Trimmer;
 
 use localisation::Localisation;
+use open_nodes::OpenNodes;
 use places::PlaceSearches;
 use portolan_config::PoseGraphOptions;
 use portolan_geometry::Time;
@@ -59,7 +60,6 @@ use portolan_local_slam::{InsertedNode, UsualAgreement};
 use portolan_optimization::{LandmarkSighting, OptimizationData, OptimizationSummary, unused_fixes};
 use portolan_recall::Memory;
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, OdometryData};
-use open_nodes::OpenNodes;
 use sampling::WholeSubmapTurns;
 use search::ConstraintSearch;
 

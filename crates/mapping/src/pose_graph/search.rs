@@ -31,12 +31,7 @@ struct SearchTask<S: Space> {
 
 impl<S: Space> SearchTask<S> {
     /// `lengths` are those of the paths from the submap to others.
-    fn set_travelled(
-        &mut self,
-        travel: &TravelGraph,
-        lengths: &Lengths,
-        policy: LoopSearchPolicy,
-    ) {
+    fn set_travelled(&mut self, travel: &TravelGraph, lengths: &Lengths, policy: LoopSearchPolicy) {
         if let SearchRegion::Window { travelled, window, .. } = &mut self.region {
             let of_node = travel.submap_of(self.node_id);
             let length = |length: Option<f64>| length.unwrap_or(f64::INFINITY);
@@ -285,7 +280,9 @@ impl<S: Space> ConstraintSearch<S> {
         let policy = self.policy;
         let farthest = self.options.max_constraint_distance;
         let is_needless = |task: &SearchTask<S>| {
-            let SearchRegion::Window { travelled, window: Some(window), .. } = task.region else { return false };
+            let SearchRegion::Window { travelled, window: Some(window), .. } = task.region else {
+                return false;
+            };
             let distance = task.guess_submap_from_node.translation.vector.norm();
             if distance > farthest + window.linear {
                 return true;

@@ -58,7 +58,9 @@ impl TravelGraph {
             if let Some(of_node) = graph.submap_of_node.get(&constraint.node_id).copied() {
                 match constraint.open {
                     None => graph.connect(of_node, constraint.submap_id, LENGTH_OF_LOOP_CLOSURE),
-                    Some(_) => connect(&mut graph.open, (of_node, constraint.submap_id), LENGTH_OF_LOOP_CLOSURE),
+                    Some(_) => {
+                        connect(&mut graph.open, (of_node, constraint.submap_id), LENGTH_OF_LOOP_CLOSURE)
+                    }
                 }
             }
         }

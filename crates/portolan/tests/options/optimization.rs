@@ -6,7 +6,7 @@
 
 use portolan::config::{OptimizationProblemOptions, Options};
 use portolan::geometry::{Quaternion, Rigid3, Vector3, rotation_angle, rotation_from_roll_pitch_yaw, yaw};
-use portolan::mapping::{Constraint, ConstraintTag, NodeId, SubmapId, TrajectoryId};
+use portolan::mapping::{Constraint, ConstraintTag, NodeId, OpenShift, SubmapId, TrajectoryId};
 use portolan::optimization::{
     OptimizationData, OptimizationNode, OptimizationSummary, optimize_2d, optimize_3d,
 };
@@ -241,4 +241,21 @@ fn in_space() -> Vec<Effect> {
 fn options_of_the_optimisation_have_their_effects() {
     check(&base(), &in_both_spaces());
     check(&base(), &in_space());
+}
+
+#[test]
+fn a_loop_closure_says_nothing_along_an_open_direction() {
+    let solved = |open: Option<Vector3>| {
+        let (mut data, mut constraints) = row();
+        for constraint in constraints.iter_mut().filter(|c| c.is_loop_closure()) {
+            constraint.open = open.map(|direction| OpenShift { direction });
+        }
+        optimize_2d(&mut data, &constraints, &base().map_builder.pose_graph.optimization_problem);
+        data.nodes[&node(NODES - 1)].map_from_node.translation.vector
+    };
+    let (without, closed) = (row().0.nodes[&node(NODES - 1)].map_from_node.translation.vector, solved(None));
+    let [open_along, open_across] = [Vector3::x(), Vector3::y()].map(|direction| solved(Some(direction)));
+    assert!((closed.x - without.x).abs() > 0.1 && closed.y - without.y > 0.05, "{closed:?}");
+    assert!((open_along.x - without.x).abs() < 0.05 && open_along.y - without.y > 0.05, "{open_along:?}");
+    assert!((open_across.x - without.x).abs() > 0.1 && open_across.y - without.y < 0.05, "{open_across:?}");
 }
