@@ -74,13 +74,12 @@ impl ProblemSpace for InPlane {
         root: &na::Matrix6<f64>,
         loss: Loss,
     ) -> bool {
-        let in_plane = [0, 1, 5];
+        // Shifts along x and y and the turn about z.
+        let in_plane = root.remove_fixed_rows::<3>(2).remove_fixed_columns::<3>(2);
         let factor = factors::Se2BetweenInformation {
             variables,
             measurement: project_2d(measured),
-            square_root_information: na::Matrix3::from_fn(|row, column| {
-                root[(in_plane[row], in_plane[column])]
-            }),
+            square_root_information: in_plane,
         };
         problem.add_factor(factor, loss).is_ok()
     }

@@ -25,7 +25,8 @@ impl MapDraft {
         }
         let planar = |pose: &Rigid3, id: Option<IdInFile>| {
             let gravity = id.and_then(|id| gravity.get(&id)).copied().unwrap_or_else(Quaternion::identity);
-            project_2d(&Planar::graph_pose(pose, &gravity)) * heading_of(&gravity)
+            let levelled = project_2d(&Planar::graph_pose(pose, &gravity)) * heading_of(&gravity);
+            Rigid2 { angle: levelled.normalized_angle(), ..levelled }
         };
         Ok(Graph::Planar(self.build_graph(planar, planar_information)))
     }
