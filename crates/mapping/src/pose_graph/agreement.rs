@@ -14,6 +14,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use portolan_geometry::{Rigid3, Vector3, rotation_angle};
 
 use super::PoseGraph;
+use super::travel::TravelGraph;
 use crate::{Constraint, NodeId, OpenShift, Space, TrajectoryId, of_trajectory};
 
 /// Matches agree if the places that they say differ by no more than this, metres and radians: the drift of
@@ -28,6 +29,13 @@ const SCORE_BY_CHANCE: f64 = 0.5;
 const MIN_WEIGHT: f64 = 0.01;
 /// So many loop closures wait at most for others to agree, the newest ones.
 const MOST_UNSUPPORTED: usize = 500;
+
+/// What is known of a place along a corridor has to come from others, over no more than so many metres of way: then it is known
+/// to some metres, and no other corridor is so near.
+const SHORT_WAY: f64 = 50.0;
+
+/// Matches that leave different directions open, by the cosine between them, say nothing of each other.
+const PARALLEL: f64 = 0.98;
 
 /// A match that waits for others to agree.
 #[derive(Clone, Debug)]
@@ -107,6 +115,8 @@ impl<S: Space> PoseGraph<S> {
     /// Takes loop closures that fit the map, or that others agree with; the rest goes on waiting. Returns how many it took.
     pub(super) fn take_supported(&mut self) -> usize {
         let waiting = std::mem::take(&mut self.waiting.unsupported);
+        let travel = TravelGraph::new(&self.state, &self.ways);
+        let is_told = |c: &Constraint| c.open.is_none() || travel.is_tied((c.submap_id, c.node_id), SHORT_WAY);
         let matches: Vec<Option<WaitingMatch>> = waiting.iter().map(|c| self.bending_match(c)).collect();
         let needed = self.policy.min_agreeing;
         let is_supported = |of: &WaitingMatch| {
@@ -115,7 +125,7 @@ impl<S: Space> PoseGraph<S> {
         };
         let supported: Vec<bool> = matches
             .iter()
-            .map(|m| m.as_ref().is_some_and(|m| self.fits(&m.constraint) || is_supported(m)))
+            .map(|m| m.as_ref().is_some_and(|m| self.fits(&m.constraint) && is_told(&m.constraint) || is_supported(m)))
             .collect();
         for (constraint, is_supported) in waiting.into_iter().zip(&supported) {
             if *is_supported {
@@ -274,6 +284,9 @@ fn agreed(waiting: &mut Vec<WaitingMatch>, needed: usize) -> Option<Vec<WaitingM
 
 /// Compared where the scans lie: far from the origin a small turn moves much.
 fn agree(a: &WaitingMatch, b: &WaitingMatch) -> bool {
+    if a.open.zip(b.open).is_some_and(|(a, b)| a.direction.dot(&b.direction).abs() < PARALLEL) {
+        return false;
+    }
     let place = nalgebra::Point3::from((a.place_in_later + b.place_in_later) / 2.0);
     let apart = a.earlier_from_later * place - b.earlier_from_later * place;
     let apart = [a, b].iter().filter_map(|m| m.open).fold(apart, |apart, open| open.closed_part(&apart));

@@ -78,9 +78,16 @@ impl TravelGraph {
 
     /// The shortest ways from one submap to all that can be reached, metres.
     pub fn lengths_from(&self, start: SubmapId) -> Lengths {
-        let place = shortest(start, &[&self.neighbours]);
-        let heading = (!self.open.is_empty()).then(|| shortest(start, &[&self.neighbours, &self.open]));
+        let place = shortest(start, &[&self.neighbours], f64::INFINITY);
+        let heading = || shortest(start, &[&self.neighbours, &self.open], f64::INFINITY);
+        let heading = (!self.open.is_empty()).then(heading);
         Lengths { place, heading }
+    }
+
+    /// Whether the place of a node in a submap is tied by a way of at most so many metres.
+    pub fn is_tied(&self, (submap_id, node_id): (SubmapId, NodeId), longest: f64) -> bool {
+        let reached = || shortest(submap_id, &[&self.neighbours], longest);
+        self.submap_of(node_id).is_some_and(|of_node| reached().contains_key(&of_node))
     }
 }
 
@@ -115,8 +122,8 @@ fn connect(neighbours: &mut Neighbours, (a, b): (SubmapId, SubmapId), length: f6
     }
 }
 
-/// The shortest ways from one submap over the neighbours of all of these (Dijkstra).
-fn shortest(start: SubmapId, neighbours: &[&Neighbours]) -> BTreeMap<SubmapId, f64> {
+/// The shortest ways from one submap over the neighbours of all of these, up to `longest` (Dijkstra).
+fn shortest(start: SubmapId, neighbours: &[&Neighbours], longest: f64) -> BTreeMap<SubmapId, f64> {
     let mut lengths = BTreeMap::new();
     let mut waiting = BinaryHeap::from([Reached { length: 0.0, at: start }]);
     while let Some(Reached { length, at }) = waiting.pop() {
@@ -125,7 +132,7 @@ fn shortest(start: SubmapId, neighbours: &[&Neighbours]) -> BTreeMap<SubmapId, f
         }
         lengths.insert(at, length);
         for (next, way) in neighbours.iter().filter_map(|n| n.get(&at)).flatten() {
-            if !lengths.contains_key(next) {
+            if length + way <= longest && !lengths.contains_key(next) {
                 waiting.push(Reached { length: length + way, at: *next });
             }
         }
@@ -178,6 +185,9 @@ mod tests {
         assert_eq!(lengths(&graph, id(0, 9)), (Some(17.0), Some(17.0)));
         connect(&mut graph.open, (id(0, 2), id(0, 9)), LENGTH_OF_LOOP_CLOSURE);
         assert_eq!(lengths(&graph, id(0, 9)), (Some(17.0), Some(2.0)));
+        graph.submap_of_node.insert(NodeId::new(TrajectoryId(0), 90), id(0, 9));
+        let is_tied = |longest| graph.is_tied((id(0, 2), NodeId::new(TrajectoryId(0), 90)), longest);
+        assert!(is_tied(17.0) && !is_tied(16.9));
         assert_eq!(graph.lengths_from(id(5, 5)).of_place(id(5, 5)), Some(0.0));
     }
 }
