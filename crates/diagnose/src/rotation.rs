@@ -190,8 +190,9 @@ pub(crate) const ENOUGH_TURNS: f64 = std::f64::consts::PI;
 /// sample, and of others.
 const OFFSETS: [[f64; 2]; 2] = [[0.02, 0.035], [0.05, 0.1]];
 
-/// Offsets must exceed them by so many standard deviations.
-const SURE: f64 = 2.0;
+/// Offsets must exceed them by so many standard deviations: for a clock at that limit, one in a thousand is told (Student's t
+/// with the 11 degrees of freedom of the jackknife, one side).
+const SURE: f64 = 4.0;
 /// Sensors must turn so much alike, and so much more with the offset than without, or it is chance.
 const ALIKE: f64 = 0.7;
 const LEAST_GAIN: f64 = 0.04;
