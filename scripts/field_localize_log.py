@@ -21,11 +21,12 @@ LOGS = {
     "fr079-text": "fr079/fr079.clf.bz2",
     "orebro": "orebro/orebro.clf.bz2",
     "fhw": "fhw/fhw.clf.bz2",
+    "killian": "killian/killian.clf.bz2",
     "fr101-rawodo": "fr101-rawodo/fr101-rawodo.clf.bz2",
 }
 # Logs thinned to a scan every 0.5 to 1 m, whose stamps are made up or minutes apart: there all that is counted in seconds
 # elsewhere is counted in scans.
-THINNED = ("orebro", "fhw", "fr101-rawodo")
+THINNED = ("orebro", "fhw", "fr101-rawodo", "killian")
 # A pose is wrong beyond this, metres and degrees, and a wrong one is a false one if it lasts for so many seconds or scans.
 WRONG = (0.5, 10.0)
 LASTING = 2.0

@@ -116,16 +116,18 @@ impl<S: Space> PoseGraph<S> {
     pub(super) fn take_supported(&mut self) -> usize {
         let waiting = std::mem::take(&mut self.waiting.unsupported);
         let travel = TravelGraph::new(&self.state, &self.ways);
-        let is_told = |c: &Constraint| c.open.is_none() || travel.is_tied((c.submap_id, c.node_id), SHORT_WAY);
+        let is_placed =
+            |c: &Constraint| c.open.is_none() || travel.is_tied((c.submap_id, c.node_id), SHORT_WAY);
         let matches: Vec<Option<WaitingMatch>> = waiting.iter().map(|c| self.bending_match(c)).collect();
         let needed = self.policy.min_agreeing;
         let is_supported = |of: &WaitingMatch| {
             let agreeing = matches.iter().flatten().filter(|m| agree(m, of));
             agreeing.map(|m| m.constraint.node_id).collect::<BTreeSet<NodeId>>().len() >= needed
         };
+        let fits = |c: &Constraint| self.fits(c) && is_placed(c);
         let supported: Vec<bool> = matches
             .iter()
-            .map(|m| m.as_ref().is_some_and(|m| self.fits(&m.constraint) && is_told(&m.constraint) || is_supported(m)))
+            .map(|m| m.as_ref().is_some_and(|m| fits(&m.constraint) || is_supported(m)))
             .collect();
         for (constraint, is_supported) in waiting.into_iter().zip(&supported) {
             if *is_supported {
