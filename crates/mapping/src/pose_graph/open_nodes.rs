@@ -9,8 +9,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use rayon::prelude::*;
 
 use super::PoseGraph;
-use super::travel::TravelGraph;
-use crate::{NodeId, Space};
+use super::travel::{Lengths, TravelGraph};
+use crate::{NodeId, Space, SubmapId};
 
 /// Whether nodes leave a direction open, as far as they were asked.
 #[derive(Clone, Debug, Default)]
@@ -35,9 +35,9 @@ impl<S: Space> PoseGraph<S> {
     pub(super) fn travel_graph(&mut self) -> TravelGraph {
         let mut travel = TravelGraph::new(&self.state, &self.ways);
         if self.policy.loops.drift > 0.0 {
-            let waiting = self.search.waiting_nodes();
-            self.ask_nodes(&waiting, &travel);
-            travel.open_nodes = waiting.into_iter().filter(|id| self.open_nodes.contains(*id)).collect();
+            let drifting = drifting_nodes(&travel, self.search.waiting_pairs());
+            self.ask_nodes(&drifting, &travel);
+            travel.open_nodes = drifting.into_iter().filter(|id| self.open_nodes.contains(*id)).collect();
         }
         travel
     }
@@ -56,4 +56,17 @@ impl<S: Space> PoseGraph<S> {
         let answers: Vec<(NodeId, bool)> = unknown.par_iter().filter_map(ask).collect();
         self.open_nodes.known.extend(answers);
     }
+}
+
+/// The nodes of those pairs whose place has drifted for longer than their heading.
+fn drifting_nodes(travel: &TravelGraph, pairs: impl Iterator<Item = (SubmapId, NodeId)>) -> BTreeSet<NodeId> {
+    let mut known: BTreeMap<SubmapId, Lengths> = BTreeMap::new();
+    let drifts = |(submap_id, node_id): &(SubmapId, NodeId)| {
+        travel.submap_of(*node_id).is_some_and(|of_node| {
+            let lengths = known.entry(of_node).or_insert_with(|| travel.lengths_from(of_node));
+            lengths.of_place(*submap_id) != lengths.of_heading(*submap_id)
+        })
+    };
+    let pairs = pairs.filter(|_| travel.has_open_ties());
+    pairs.filter(drifts).map(|(_, node_id)| node_id).collect()
 }

@@ -1,7 +1,7 @@
 //! Finding nodes in submaps: which pairs are tried, and trying them in parallel
 //! (`slam2d.md` §13).
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use portolan_config::ConstraintBuilderOptions;
@@ -135,9 +135,9 @@ impl<S: Space> ConstraintSearch<S> {
         self.push(submap_id, submap, node_id, node, guess_submap_from_node, region);
     }
 
-    /// The nodes of the pairs that wait.
-    pub(super) fn waiting_nodes(&self) -> BTreeSet<NodeId> {
-        self.tasks.iter().filter(|task| is_window(task.region)).map(|task| task.node_id).collect()
+    /// The pairs that wait whose relative pose is roughly known.
+    pub(super) fn waiting_pairs(&self) -> impl Iterator<Item = (SubmapId, NodeId)> {
+        self.tasks.iter().filter(|task| is_window(task.region)).map(|task| (task.submap_id, task.node_id))
     }
 
     /// Adds a pair whose relative pose is unknown.

@@ -84,6 +84,11 @@ impl TravelGraph {
         Lengths { place, heading }
     }
 
+    /// Whether any loop closure leaves a direction open.
+    pub fn has_open_ties(&self) -> bool {
+        !self.open.is_empty()
+    }
+
     /// Whether the place of a node in a submap is tied by a way of at most so many metres.
     pub fn is_tied(&self, (submap_id, node_id): (SubmapId, NodeId), longest: f64) -> bool {
         let reached = || shortest(submap_id, &[&self.neighbours], longest);
