@@ -70,6 +70,8 @@ fn generated_relations_are_those_of_the_reference() {
         assert!(run.stdout.contains(figures), "{}", run.stdout);
         let rows = std::fs::read_to_string(&csv).unwrap();
         assert!(rows.starts_with("translational_error,squared_translational_error,"), "{rows}");
+        let run = portolan_with_code(1, &["evaluate", "relations", &map, &map]);
+        assert!(run.stderr.contains("this is a map (pbstream), and no relations"), "{}", run.stderr);
     }
 }
 

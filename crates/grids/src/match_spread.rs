@@ -9,11 +9,14 @@ use portolan_sensor::PointCloud;
 
 use super::{Grid2d, ProbabilityGrid};
 
-/// Directions are compared by the likelihood of shifts along them: so many over half a turn by short shifts, and the best of
-/// them more and more finely by longer ones, so that a wall is still met at its end. Metres, and parts of them.
+/// Directions are compared by the likelihood of shifts along them. So many, evenly over half a turn, are compared by shifts of
+/// up to this, metres.
 const COARSE_DIRECTIONS: u32 = 18;
 const COARSE_SHIFT: f64 = 0.4;
+/// Then those around the best one, in steps of one so manieth of the coarse step, by longer shifts (metres): a wall 5 m away is
+/// still met if the direction is right to a third of a degree.
 const FINER: [(f64, f64); 2] = [(8.0, 1.5), (32.0, 5.0)];
+/// The shifts, as parts of the longest.
 const PARTS: [f64; 8] = [-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0];
 /// Submaps are bent a little: each place is the best of those so many cells to both sides.
 const ACROSS: i32 = 2;

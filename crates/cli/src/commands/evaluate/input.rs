@@ -36,7 +36,11 @@ pub fn tell(path: &Path, notes: &[String]) {
 
 /// Relations, text or binary.
 pub fn read_relations_file(path: &Path) -> Result<Vec<Relation>, CliError> {
-    read_relations(&read_bytes(path)?).map_err(|error: EvaluationError| CliError::in_file(path, error))
+    let bytes = read_bytes(path)?;
+    if let Some(kind) = portolan_input::kind_of(&bytes) {
+        return Err(CliError::in_file(path, format!("this is {kind}, and no relations, which come second")));
+    }
+    read_relations(&bytes).map_err(|error: EvaluationError| CliError::in_file(path, error))
 }
 
 /// Seconds as a duration; a number that is none, or not above zero, is wrong usage.
