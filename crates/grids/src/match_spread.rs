@@ -121,9 +121,9 @@ impl<'a> Ends<'a> {
         let (mut likelihood, mut known) = (1.0, 0u32);
         for end in &self.ends {
             let cell = self.grid.limits().cell_index((end + shift).cast::<f32>());
-            let is_known = self.grid.is_known(cell);
-            known += u32::from(is_known);
-            let solid = if is_known { f64::from(self.grid.probability(cell)) } else { UNKNOWN };
+            let solid = self.grid.known_probability(cell);
+            known += u32::from(solid.is_some());
+            let solid = solid.map_or(UNKNOWN, f64::from);
             likelihood *= UNEXPLAINED + (1.0 - UNEXPLAINED) * solid;
         }
         let count = self.ends.len() as f64;

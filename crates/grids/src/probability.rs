@@ -54,6 +54,13 @@ impl ProbabilityGrid {
         }
     }
 
+    /// Probability that a cell is occupied, if anything is known about it.
+    #[inline]
+    pub fn known_probability(&self, cell: CellIndex) -> Option<f32> {
+        let code = self.grid.cell(cell) & !UPDATE_MARKER;
+        (code != UNKNOWN_CELL).then(|| 1.0 - self.grid.code.decode(code, self.grid.code.upper()))
+    }
+
     /// One minus probability; the largest cost where nothing is known, 0.9 outside the grid.
     #[inline]
     pub fn correspondence_cost(&self, cell: CellIndex) -> f32 {
