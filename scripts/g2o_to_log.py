@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
-"""g2o_to_log.py GRAPH.g2o OUT.clf OUT.relations [--all OUT2.relations] : a planar pose graph with scans as a CARMEN log.
+"""g2o_to_log.py GRAPH.g2o OUT.clf OUT.relations [--all OUT2.relations] [--doubtful FROM:TO]
+A planar pose graph with scans as a CARMEN log.
 
 For graphs with VERTEX_SE2 and ROBOTLASER1 lines, one scan a vertex, such as killian.g2o (MIT, Killian Court, 1.9 km, 3,873
 scans; in the Python package rtb-data). Odometry is the chain of edges from vertex to vertex, which drifts; relations are the
-other edges; those of --all are between vertices up to 8 m apart, as the poses of the graph have them. Needs Python 3 alone.
+other edges; those of --all are between vertices up to 8 m apart, as the poses of the graph have them. Relations of one scan
+from FROM to TO, seconds, and one outside are left out: in killian.g2o, scans from 4030 to 4345 s lie 1.7 m along a corridor
+from where they show the same walls as others (--doubtful 4030:4345). Needs Python 3 alone.
 """
 import argparse
 import math
 import random
-
-# Vertices whose poses in killian.g2o lie 1.7 m along a corridor from where the scans show the same walls.
-WRONG_IN_KILLIAN = (4030.0, 4345.0)
 
 
 def composed(a, b):
@@ -44,16 +44,22 @@ def read(path):
     return poses, scans, steps, loops
 
 
-def is_good(seconds):
-    inside = [WRONG_IN_KILLIAN[0] < s < WRONG_IN_KILLIAN[1] for s in seconds]
-    return inside[0] == inside[1]
+def seconds_span(text):
+    first, last = map(float, text.split(":"))
+    return first, last
 
 
-def write_relations(path, relations, scans):
+def is_doubtful(seconds, span):
+    """Whether one scan is of the span, and the other is not."""
+    inside = [span is not None and span[0] < s < span[1] for s in seconds]
+    return inside[0] != inside[1]
+
+
+def write_relations(path, relations, scans, doubtful):
     with open(path, "w") as out:
         for i, j, (x, y, turn) in relations:
             seconds = scans[i][1], scans[j][1]
-            if is_good(seconds):
+            if not is_doubtful(seconds, doubtful):
                 out.write(f"{seconds[0]:.6f} {seconds[1]:.6f} {x:.5f} {y:.5f} 0 0 0 {turn:.6f}\n")
 
 
@@ -73,6 +79,7 @@ def main():
     parser.add_argument("log")
     parser.add_argument("relations")
     parser.add_argument("--all")
+    parser.add_argument("--doubtful", type=seconds_span, metavar="FROM:TO")
     arguments = parser.parse_args()
     poses, scans, steps, loops = read(arguments.graph)
     odometry = [(0.0, 0.0, 0.0)]
@@ -82,9 +89,9 @@ def main():
         for (readings, seconds), pose in zip(scans, odometry):
             place = "%.6f %.6f %.6f" % pose
             out.write(f"FLASER {len(readings)} {' '.join(readings)} {place} {place} {seconds:.6f} robot {seconds:.6f}\n")
-    write_relations(arguments.relations, loops, scans)
+    write_relations(arguments.relations, loops, scans, arguments.doubtful)
     if arguments.all:
-        write_relations(arguments.all, neighbours(poses), scans)
+        write_relations(arguments.all, neighbours(poses), scans, arguments.doubtful)
 
 
 if __name__ == "__main__":

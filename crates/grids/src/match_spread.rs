@@ -138,11 +138,11 @@ mod tests {
     use super::*;
     use crate::MapLimits;
 
-    /// Walls of a corridor along a direction, seen from `along`: doors lie deeper every four metres; with `end`, so does a
-    /// wall across.
-    fn walls(along: f64, half_length: f64, end: Option<f64>) -> Vec<Vector2<f64>> {
+    /// Walls of a corridor along x, with a door in a recess every four metres, and with `end` (x) a wall across, behind which
+    /// there is nothing.
+    fn walls(half_length: f64, end: Option<f64>) -> Vec<Vector2<f64>> {
         let steps = (half_length / 0.05) as i32;
-        let sides = (-steps..=steps).map(|i| along + 0.05 * f64::from(i)).flat_map(|x| {
+        let sides = (-steps..=steps).map(|i| 0.05 * f64::from(i)).flat_map(|x| {
             let depth = if x.rem_euclid(4.0) < 1.0 { 0.3 } else { 0.0 };
             [Vector2::new(x, 1.01 + depth), Vector2::new(x, -1.01 - depth)]
         });
@@ -162,12 +162,12 @@ mod tests {
         }
         let mut solid = ProbabilityGrid::new(*grid.limits());
         // Walls are as thick as scans that differ by a cell draw them.
-        for wall in walls(0.0, 13.0, end).into_iter().flat_map(around) {
+        for wall in walls(13.0, end).into_iter().flat_map(around) {
             let cell = solid.limits().cell_index(map_from_corridor.transform_point(&wall).cast::<f32>());
             solid.set_probability(cell, 0.9);
         }
         let scan_from_map = Rigid2::new(0.0, 0.0, 0.7).inverse();
-        let points = walls(0.0, 5.0, end).into_iter().map(|wall| {
+        let points = walls(5.0, end).into_iter().map(|wall| {
             let seen = scan_from_map.transform_point(&map_from_corridor.transform_point(&wall));
             Point3f::new(seen.x as f32, seen.y as f32, 0.0)
         });

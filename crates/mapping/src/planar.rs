@@ -25,7 +25,7 @@ pub struct PlanarMatcher {
 }
 
 /// A match tells the place along a direction if it spreads no more than this along it, metres: of those that spread less one
-/// in a hundred is wrong, of those that spread more one in three (docs/experiments/2026-11-corridor-loops.md).
+/// in a hundred is wrong, of those that spread more two in five (docs/experiments/2026-11-corridor-loops.md).
 const MOST_SPREAD: f64 = 0.25;
 
 /// So far along a corridor a scan is compared with the submap that it was drawn in, metres: over some doors.
