@@ -53,8 +53,9 @@ const KITTI_PERIOD: f64 = 0.1;
 pub struct TrajectoryFile<'a> {
     /// The file: a map, TUM, KITTI poses, or a table with a line of names.
     pub path: &'a Path,
-    /// Which trajectory of a map.
-    pub trajectory_id: i32,
+    /// Which trajectory of a map. None takes all of them if they follow one another, as the pieces of one
+    /// recording do, else that with the lowest number.
+    pub trajectory_id: Option<i32>,
     /// Times of KITTI poses, one a line.
     pub times: Option<&'a Path>,
 }
@@ -86,7 +87,10 @@ impl TrajectoryFile<'_> {
         let (trajectory, repairs) = if peek(&mut input, self.path, MAGIC.len())? == MAGIC {
             let (pose_graph, damage) = whole_pose_graph_from(input, self.path)?;
             notes.extend(damage.map(|damage| damaged_behind_poses(&damage)));
-            Trajectory::new(nodes(self.path, &pose_graph, self.trajectory_id)?)
+            Trajectory::new(match self.trajectory_id {
+                Some(id) => nodes(self.path, &pose_graph, id)?,
+                None => nodes_of_pieces(self.path, &pose_graph, &mut notes)?,
+            })
         } else {
             self.read_text(input, &mut notes)?
         };
@@ -233,6 +237,37 @@ pub fn nodes(path: &Path, pose_graph: &PoseGraph, id: i32) -> Result<Vec<TimedPo
         Ok(TimedPose { time: Time::from_ticks(node.timestamp), map_from_tracking })
     };
     trajectory_of(path, pose_graph, id)?.node.iter().map(pose).collect()
+}
+
+/// The poses of all trajectories one after the other if none begins before the one before it ended, else
+/// those of the trajectory with the lowest number.
+fn nodes_of_pieces(
+    path: &Path,
+    pose_graph: &PoseGraph,
+    notes: &mut Vec<String>,
+) -> Result<Vec<TimedPose>, TrajectoryFileError> {
+    let mut ids: Vec<i32> = pose_graph.trajectory.iter().map(|trajectory| trajectory.trajectory_id).collect();
+    ids.sort_unstable();
+    let first = ids.first().copied().unwrap_or(0);
+    let mut pieces = ids.iter().map(|id| nodes(path, pose_graph, *id)).collect::<Result<Vec<_>, _>>()?;
+    pieces.retain(|piece| !piece.is_empty());
+    let span = |piece: &[TimedPose]| {
+        let times = || piece.iter().map(|pose| pose.time);
+        Some((times().min()?, times().max()?))
+    };
+    pieces.sort_by_key(|piece| span(piece));
+    let follow = pieces.is_sorted_by(|before, after| match (span(before), span(after)) {
+        (Some((_, end)), Some((begin, _))) => end < begin,
+        _ => false,
+    });
+    if pieces.len() < 2 || !follow {
+        return nodes(path, pose_graph, first);
+    }
+    notes.push(format!(
+        "its {} trajectories follow one another and are taken together (--trajectory takes one)",
+        pieces.len()
+    ));
+    Ok(pieces.concat())
 }
 
 #[cfg(test)]

@@ -123,7 +123,7 @@ fn map(recording: &dyn Recording, folder: &Path, global: &GlobalArgs) -> Result<
 /// Errors of the trajectory in the folder of results against the truth, for people.
 fn errors(folder: &Path, truth: &[(Time, Rigid3)], alignment: Alignment) -> Result<String, CliError> {
     let path = folder.join("trajectory.tum");
-    let estimate = TrajectoryFile { path: &path, trajectory_id: 0, times: None }.read()?.trajectory;
+    let estimate = TrajectoryFile { path: &path, trajectory_id: None, times: None }.read()?.trajectory;
     let errors = absolute_errors(&trajectory(truth), &estimate, Association::default(), alignment)
         .map_err(|e| CliError::Failed(e.to_string()))?;
     Ok(format!(

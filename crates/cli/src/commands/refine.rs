@@ -364,7 +364,7 @@ fn read_input(args: &RefineArgs, global: &GlobalArgs) -> Result<Vec<(Time, Rigid
         ));
     };
     let times = args.times.as_deref();
-    let file = TrajectoryFile { path, trajectory_id: args.trajectory_id, times };
+    let file = TrajectoryFile { path, trajectory_id: Some(args.trajectory_id), times };
     if !args.time_offset.is_finite() {
         return Err(CliError::Usage("--time-offset must be a number of seconds".to_owned()));
     }

@@ -42,7 +42,7 @@ impl Drive {
             None => vec![0.0; 3],
         };
         let truth =
-            TrajectoryFile { path: Path::new(truth), trajectory_id: 0, times: None }.read()?.trajectory;
+            TrajectoryFile { path: Path::new(truth), trajectory_id: None, times: None }.read()?.trajectory;
         let recording = open(file)?;
         let (mut ingest, settings) = (IngestOptions::default(), OdometrySettings::default());
         ingest.use_odometry = Some(false);

@@ -86,7 +86,7 @@ fn mapped(
     request.cloud.with_xrays = false;
     map(drive.recording(), request, &mut observer(rows))?;
     let path = results.join("trajectory.tum");
-    Ok(TrajectoryFile { path: &path, trajectory_id: 0, times: None }.read()?.trajectory)
+    Ok(TrajectoryFile { path: &path, trajectory_id: None, times: None }.read()?.trajectory)
 }
 
 fn localised(

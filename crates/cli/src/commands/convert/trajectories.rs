@@ -144,7 +144,7 @@ fn read(args: &ConvertArgs, mut input: Forward, global: &GlobalArgs) -> Result<R
         }
         _ => {
             let times = args.times.as_deref();
-            let file = TrajectoryFile { path, trajectory_id: 0, times };
+            let file = TrajectoryFile { path, trajectory_id: None, times };
             return Ok((
                 vec![(args.trajectory.unwrap_or(0), read_trajectory_from(input, file, global.quiet)?)],
                 false,

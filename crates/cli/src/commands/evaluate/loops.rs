@@ -41,7 +41,7 @@ pub struct LoopsArgs {
 }
 
 pub fn run(args: &LoopsArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
-    let truth = TrajectoryFile { path: &args.truth, trajectory_id: 0, times: None };
+    let truth = TrajectoryFile { path: &args.truth, trajectory_id: None, times: None };
     let truth = read_trajectory(truth, global.quiet)?;
     let map = read_map_graph(&args.map)?;
     let loops = loop_closure_relations(&map).map_err(|error| CliError::in_file(&args.map, error))?;

@@ -38,9 +38,10 @@ pub struct RelationsArgs {
     /// Also draw how the errors are distributed.
     #[arg(long, value_name = "FILE.png")]
     histogram: Option<PathBuf>,
-    /// Which trajectory of a map.
-    #[arg(long, value_name = "ID", default_value_t = 0)]
-    trajectory: i32,
+    /// Which trajectory of a map. Default: all of them if they follow one another, as the pieces of one
+    /// recording do, else that with the lowest number.
+    #[arg(long, value_name = "ID")]
+    trajectory: Option<i32>,
     /// Times of KITTI poses.
     #[arg(long, value_name = "FILE")]
     times: Option<PathBuf>,

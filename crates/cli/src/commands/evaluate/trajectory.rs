@@ -55,9 +55,10 @@ pub struct TrajectoryArgs {
     /// Also the drift over segments of 100 to 800 m, as the KITTI benchmark measures it.
     #[arg(long)]
     drift: bool,
-    /// Which trajectory of a map.
-    #[arg(long, value_name = "ID", default_value_t = 0)]
-    trajectory: i32,
+    /// Which trajectory of a map. Default: all of them if they follow one another, as the pieces of one
+    /// recording do, else that with the lowest number.
+    #[arg(long, value_name = "ID")]
+    trajectory: Option<i32>,
     /// Times of KITTI poses, one a line.
     #[arg(long, value_name = "FILE")]
     times: Option<PathBuf>,

@@ -175,7 +175,7 @@ fn read_scan(
 
 /// Poses in the order of the scans.
 pub fn read_poses(path: &Path, count: usize) -> Result<Vec<Rigid3>, CliError> {
-    let trajectory = read_trajectory(TrajectoryFile { path, trajectory_id: 0, times: None }, false)?;
+    let trajectory = read_trajectory(TrajectoryFile { path, trajectory_id: None, times: None }, false)?;
     if trajectory.len() != count {
         return Err(CliError::in_file(
             path,

@@ -132,7 +132,7 @@ fn of_recording(
 }
 
 fn trajectory_of(path: &Path, global: &GlobalArgs) -> Result<Trajectory, CliError> {
-    read_trajectory(TrajectoryFile { path, trajectory_id: 0, times: None }, global.quiet)
+    read_trajectory(TrajectoryFile { path, trajectory_id: None, times: None }, global.quiet)
 }
 
 fn dense(trajectory: &Trajectory) -> Result<DenseTrajectory, CliError> {
