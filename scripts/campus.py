@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""campus.py OUT.clf TRUTH.relations [--seed N] [--metres M] [--spacing M] [--uneven DEG] [--slip P]: a robot with a planar lidar out of doors.
+"""campus.py OUT.clf TRUTH.relations [--seed N] [--metres M] [--spacing M] [--uneven DEG] [--slip P] [--truth OUT.tum]: a robot with a planar lidar out of doors.
 
 A SICK LMS (180 degrees, readings up to 80 m, 1 cm of noise) on a robot with wheels, in a made campus that is known exactly:
 houses with niches and windows that mirror away or let through, rows of trees, bushes whose leaves are never hit twice alike,
@@ -246,6 +246,7 @@ def main():
     parser.add_argument("--spacing", type=float, default=0.5)
     parser.add_argument("--uneven", type=float, default=0.7)
     parser.add_argument("--slip", type=float, default=0.03)
+    parser.add_argument("--truth")
     arguments = parser.parse_args()
     random = np.random.default_rng(arguments.seed)
     campus = Campus(random)
@@ -269,6 +270,10 @@ def main():
             pose = f"{x:.6f} {y:.6f} {wrapped(heading):.6f}"
             time = START + step * PERIOD
             out.write(f"FLASER {len(readings)} {' '.join(f'{r:.2f}' for r in readings)} {pose} {pose} {time:.6f} campus {time - START:.6f}\n")
+    if arguments.truth:
+        with open(arguments.truth, "w") as out:
+            out.writelines(f"{START + s * PERIOD:.6f} {x:.6f} {y:.6f} 0 0 0 {np.sin(h / 2):.9f} {np.cos(h / 2):.9f}\n"
+                           for s, (x, y, h) in zip(used, poses[used]))
     count = relations(random, START + used * PERIOD, poses[used], arguments.relations)
     way = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1).sum()
     print(f"{len(used)} scans, {way:.0f} m, {len(walls)} walls, {len(fixed)} trees and bushes; {count} relations; "

@@ -3,6 +3,7 @@
 use portolan_geometry::{Point3f, Vector2f};
 use portolan_sensor::RangeData;
 
+use super::joined_surfaces::between_neighbours;
 use super::value::{UpdateTable, odds};
 use super::{CellIndex, GridError, InserterOptionError, ProbabilityGrid, for_each_cell_on_ray};
 
@@ -22,6 +23,8 @@ pub struct ProbabilityInserterOptions {
     pub insert_free_space: bool,
     /// Cells the grid may grow to, default 2²⁶.
     pub max_cells: usize,
+    /// Whether what lies between neighbouring returns of one surface is hit, too, default false.
+    pub join_surfaces: bool,
 }
 
 impl Default for ProbabilityInserterOptions {
@@ -31,6 +34,7 @@ impl Default for ProbabilityInserterOptions {
             miss_probability: 0.49,
             insert_free_space: true,
             max_cells: DEFAULT_MAX_CELLS,
+            join_surfaces: false,
         }
     }
 }
@@ -53,6 +57,7 @@ pub struct ProbabilityInserter {
     miss_table: UpdateTable,
     insert_free_space: bool,
     max_cells: usize,
+    join_surfaces: bool,
 }
 
 impl ProbabilityInserter {
@@ -68,6 +73,7 @@ impl ProbabilityInserter {
             miss_table: UpdateTable::for_correspondence_costs(odds(miss as f32)),
             insert_free_space: options.insert_free_space,
             max_cells: options.max_cells,
+            join_surfaces: options.join_surfaces,
         })
     }
 
@@ -83,7 +89,9 @@ impl ProbabilityInserter {
         grid: &mut ProbabilityGrid,
     ) -> Result<InsertReport, GridError> {
         let free = self.insert_free_space.then_some(|_| &self.miss_table);
-        draw(range_data, grid, self.max_cells, |_| &self.hit_table, free)
+        let step = grid.limits().resolution() as f32;
+        let joined = if self.join_surfaces { between_neighbours(range_data, step) } else { Vec::new() };
+        draw((range_data, &joined), grid, self.max_cells, |_| &self.hit_table, free)
     }
 }
 
@@ -91,9 +99,9 @@ impl ProbabilityInserter {
 pub(super) type Offset = [i64; 2];
 
 /// Draws one scan, as [`ProbabilityInserter::insert`] says. `hit` and `free` say how a cell so far from the origin changes;
-/// without `free` rays clear nothing.
+/// without `free` rays clear nothing. What lies `between` returns is hit without a ray to it.
 pub(super) fn draw<'a>(
-    range_data: &RangeData,
+    (range_data, between): (&RangeData, &[Vector2f]),
     grid: &mut ProbabilityGrid,
     max_cells: usize,
     hit: impl Fn(Offset) -> &'a UpdateTable,
@@ -114,8 +122,9 @@ pub(super) fn draw<'a>(
     let begin = pixels.of(range_data.origin.xy().coords);
     let origin = cell(&begin);
     let cells = &mut grid.grid;
-    for end in &ends[..num_hits] {
-        let [x, y] = cell(end);
+    let between = between.iter().map(|point| pixels.of(*point));
+    for end in ends[..num_hits].iter().copied().chain(between) {
+        let [x, y] = cell(&end);
         cells.apply_at(index(x, y), hit([x - origin[0], y - origin[1]]));
         cells.extend_known_box(CellIndex::new(x as i32, y as i32));
     }

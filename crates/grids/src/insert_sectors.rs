@@ -9,6 +9,7 @@ use std::f32::consts::TAU;
 use portolan_sensor::RangeData;
 
 use super::insert_probability::{Offset, draw};
+use super::joined_surfaces::between_neighbours;
 use super::value::{UpdateTable, odds};
 use super::{GridError, InsertReport, InserterOptionError, ProbabilityGrid, ProbabilityInserterOptions};
 
@@ -24,6 +25,7 @@ pub struct SectorInserter {
     misses: Vec<UpdateTable>,
     insert_free_space: bool,
     max_cells: usize,
+    join_surfaces: bool,
 }
 
 impl SectorInserter {
@@ -46,6 +48,7 @@ impl SectorInserter {
             misses: tables(miss),
             insert_free_space: options.insert_free_space,
             max_cells: options.max_cells,
+            join_surfaces: options.join_surfaces,
         })
     }
 
@@ -69,7 +72,9 @@ impl SectorInserter {
             begins.iter().take_while(|begin| squared_distance >= **begin).count()
         };
         let free = self.insert_free_space.then_some(|offset| &self.misses[level(offset)]);
-        draw(range_data, grid, self.max_cells, |offset| &self.hits[level(offset)], free)
+        let step = grid.limits().resolution() as f32;
+        let joined = if self.join_surfaces && std::env::var_os("JOINR").is_some() { between_neighbours(range_data, step) } else { Vec::new() };
+        draw((range_data, &joined), grid, self.max_cells, |offset| &self.hits[level(offset)], free)
     }
 }
 

@@ -8,6 +8,7 @@ mod insert_hybrid;
 mod insert_probability;
 mod insert_sectors;
 mod insert_tsdf;
+mod joined_surfaces;
 mod intensity;
 mod limits;
 mod match_spread;

@@ -75,6 +75,7 @@ impl Space for Planar {
             adaptive_search: options.portolan.adaptive_search,
             submap_length: options.portolan.submap_length,
             keep_scans: options.portolan.redraw_submaps,
+            join_surfaces: options.portolan.join_surfaces,
         };
         Ok(LocalSlam2d::new(&options.trajectory_builder.trajectory_builder_2d, range_sensors, extras)?)
     }

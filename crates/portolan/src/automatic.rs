@@ -240,6 +240,7 @@ fn set_local_slam(options: &mut Options, sensors: &Sensors) {
     options.portolan.adaptive_search = true;
     options.portolan.submap_length = 10.0;
     options.portolan.redraw_submaps = true;
+    options.portolan.join_surfaces = true;
     let moves_unseen = !sensors.has_odometry;
     options.portolan.search_penalty_limit = if moves_unseen { 1.0 } else { 0.15 };
     let search = &mut local.real_time_correlative_scan_matcher;

@@ -23,8 +23,9 @@ pub enum Inserter2d {
 }
 
 impl Inserter2d {
-    /// As the options of the grid and of its inserter say.
-    pub fn new(options: &Submaps2dOptions) -> Result<Self, InserterOptionError> {
+    /// As the options of the grid and of its inserter say. `join_surfaces`: grids of probabilities show what lies between
+    /// neighbouring returns of one surface, too.
+    pub fn new(options: &Submaps2dOptions, join_surfaces: bool) -> Result<Self, InserterOptionError> {
         let inserter = &options.range_data_inserter;
         match (options.grid_options_2d.grid_type, inserter.range_data_inserter_type) {
             (GridType2d::Tsdf, _) | (_, RangeDataInserterType2d::Tsdf) => {
@@ -53,6 +54,7 @@ impl Inserter2d {
                     hit_probability: o.hit_probability,
                     miss_probability: o.miss_probability,
                     insert_free_space: o.insert_free_space,
+                    join_surfaces,
                     ..ProbabilityInserterOptions::default()
                 };
                 Ok(Self::Probability(ProbabilityInserter::new(&options)?, SectorInserter::new(&options)?))
@@ -208,7 +210,7 @@ mod tests {
 
     fn submap(scans: &[RangeData]) -> Submap2d {
         let options = &Options::default().trajectory_builder.trajectory_builder_2d.submaps;
-        let inserter = Arc::new(Inserter2d::new(options).unwrap());
+        let inserter = Arc::new(Inserter2d::new(options, false).unwrap());
         let mut submap = Submap2d::new(Point3f::new(1.0, 0.0, 0.0), 0.05, &inserter).unwrap();
         scans.iter().for_each(|scan| assert!(submap.insert(scan)));
         submap.finish();

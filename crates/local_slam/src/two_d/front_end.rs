@@ -84,7 +84,9 @@ impl FrontEnd {
             tracker.limit_to(NEAR);
         }
         Ok(Self {
-            inserter: Arc::new(Inserter2d::new(&options.submaps).map_err(|e| contradiction(&e))?),
+            inserter: Arc::new(
+                Inserter2d::new(&options.submaps, extras.join_surfaces).map_err(|e| contradiction(&e))?,
+            ),
             extrapolator: None,
             level: LevelFilter::default(),
             extras,

@@ -47,6 +47,8 @@ pub struct LocalSlamExtras {
     pub submap_length: f64,
     /// Nodes keep their scans, so that submaps can be drawn again.
     pub keep_scans: bool,
+    /// Submaps show what lies between neighbouring returns of one surface.
+    pub join_surfaces: bool,
 }
 
 /// Local SLAM of one trajectory in 2D.

@@ -13,9 +13,9 @@ use portolan_geometry::Vector3;
 use portolan_sensor::FixedRatioSampler;
 
 use super::PoseGraph;
-use super::policy::Spacing;
+use super::policy::{LoopSearchPolicy, Spacing};
 use super::travel::{Lengths, TravelGraph};
-use crate::{NodeId, Space, SubmapId};
+use crate::{MatchAcceptance, NodeId, Space, SubmapId};
 
 /// So often the optimised map is searched at most; each time because the time before found something.
 const MOST_ROUNDS: usize = 3;
@@ -23,6 +23,9 @@ const MOST_ROUNDS: usize = 3;
 const SHARE_OF_SEARCHES: f64 = 0.1;
 /// Places are tried again only if the way between them is so many metres: over less, more loop closures tell little.
 const LONG_WAY: f64 = 50.0;
+/// So much less than usual has to be explained there of a scan in 2D: one taken in the other direction sees sides of things that
+/// the submap does not know, which is no contradiction. What would bend the map is found by three nodes all the same.
+const EXPLAINED_OF_USUAL: f32 = 0.65;
 
 impl<S: Space> PoseGraph<S> {
     /// Schedules further pairs, evenly over all that are near enough and have no loop closure yet, until
@@ -46,7 +49,12 @@ impl<S: Space> PoseGraph<S> {
                 return;
             }
             let travel = TravelGraph::new(&self.state, &self.ways);
+            let loops = self.loop_search();
+            let min_explained = EXPLAINED_OF_USUAL * loops.acceptance.min_explained;
+            let acceptance = MatchAcceptance { min_explained, ..loops.acceptance };
+            self.search.set_policy(LoopSearchPolicy { acceptance, ..loops });
             self.schedule(self.distant_neighbours(&travel), most);
+            self.search.set_policy(loops);
             let before = self.state.constraints.len();
             let travel = self.travel_graph();
             let found = self.search.run(&travel, &self.remembered);

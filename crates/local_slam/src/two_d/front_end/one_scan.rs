@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use portolan_geometry::{Quaternion, Rigid2, Rigid3, Time, embed_3d, is_valid_pose, project_2d, to_f32, yaw};
 use portolan_issue::IssueKind;
-use portolan_sensor::{PointCloud, RangeData};
+use portolan_sensor::{PointCloud, RangeData, voxel_filter};
 use portolan_submaps::{PlanarScan, Submap2d, search_after_gap};
 
 use super::super::belief::{Belief, Fit};
@@ -107,7 +107,7 @@ impl FrontEnd {
         let measured = Measured::since_last_pose(extrapolator, time);
         let predicted = extrapolator.extrapolate_pose(time);
         let between_readings = extrapolator.between_readings(time);
-        let cloud = filtered(&scan.returns, &self.options.adaptive_voxel_filter);
+        let cloud = self.to_be_matched(&scan.returns);
         if cloud.is_empty() {
             self.count(IssueKind::ScanWithoutReturnInRange, time);
             return None;
@@ -121,6 +121,16 @@ impl FrontEnd {
             tracking_yaw: yaw(gravity),
         });
         Some(Expected { scan, cloud, prediction: planar(predicted), motion })
+    }
+
+    /// What is matched of the returns of a scan. Those in one cell of the map say the same, and one of them counts: else
+    /// someone close by, whom a third of the beams hit, outweighs all that stands still.
+    fn to_be_matched(&self, returns: &PointCloud) -> PointCloud {
+        let options = &self.options.adaptive_voxel_filter;
+        if !self.extras.adaptive_search {
+            return filtered(returns, options);
+        }
+        filtered(&voxel_filter(returns, self.options.submaps.grid_options_2d.resolution as f32), options)
     }
 
     /// The pose of the scan in the local map.
