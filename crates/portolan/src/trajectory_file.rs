@@ -273,6 +273,39 @@ fn nodes_of_pieces(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use portolan_geometry::Rigid3;
+    use portolan_pbstream::pose_to_proto;
+
+    /// A map with trajectories of these numbers, whose nodes are a second apart and this many.
+    fn map(trajectories: &[(i32, i64, i64)]) -> PoseGraph {
+        let node = |second: i64| mapping::trajectory::Node {
+            timestamp: 10_000_000 * second,
+            pose: Some(pose_to_proto(&Rigid3::translation(second as f64, 0.0, 0.0))),
+            ..Default::default()
+        };
+        let trajectory = |(id, begin, count): &(i32, i64, i64)| mapping::Trajectory {
+            trajectory_id: *id,
+            node: (*begin..begin + count).map(node).collect(),
+            ..Default::default()
+        };
+        PoseGraph { trajectory: trajectories.iter().map(trajectory).collect(), ..Default::default() }
+    }
+
+    #[test]
+    fn pieces_of_one_recording_are_one_trajectory() {
+        let seconds = |trajectories: &[(i32, i64, i64)]| {
+            let mut notes = Vec::new();
+            let nodes = nodes_of_pieces(Path::new("map"), &map(trajectories), &mut notes).unwrap();
+            let seconds: Vec<i64> = nodes.iter().map(|n| n.map_from_tracking.translation.x as i64).collect();
+            (seconds, notes.len())
+        };
+        assert_eq!(seconds(&[(0, 10, 2), (3, 20, 3), (1, 0, 2)]), (vec![0, 1, 10, 11, 20, 21, 22], 1));
+        // Two recordings of the same time, and one with a piece that has no nodes.
+        assert_eq!(seconds(&[(1, 0, 9), (0, 5, 3)]), (vec![5, 6, 7], 0));
+        assert_eq!(seconds(&[(0, 0, 3), (1, 7, 0)]), (vec![0, 1, 2], 0));
+        assert_eq!(seconds(&[(2, 4, 1)]), (vec![4], 0));
+        assert!(nodes_of_pieces(Path::new("map"), &map(&[]), &mut Vec::new()).is_err());
+    }
 
     #[test]
     fn text_formats_are_told_apart() {

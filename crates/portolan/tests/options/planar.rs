@@ -165,6 +165,10 @@ fn occupied(run: &Run<Planar>) -> Vec<f64> {
     cells(run, |grid, cell| 1.0 - f64::from(grid.correspondence_cost(cell)))
 }
 
+fn solid(run: &Run<Planar>) -> f64 {
+    occupied(run).iter().filter(|probability| **probability > 0.5).count() as f64
+}
+
 fn weights(run: &Run<Planar>) -> Vec<f64> {
     cells(run, |grid, cell| match grid {
         Grid2d::Tsdf(tsdf) => f64::from(tsdf.weight(cell)),
@@ -300,6 +304,8 @@ fn submaps() -> Vec<Effect> {
     effects! {
         "portolan.submap_length", "0" => "1.2", Rises, |o| sparse(o).submaps();
         "portolan.redraw_submaps", "false" => "true", Rises, |o| mean(&occupied(&one_scan(o)));
+        "portolan.join_surfaces", "false" => "true", Rises, |o| solid(&one_scan(o)),
+            ["trajectory_builder_2d.submaps.grid_options_2d.resolution=0.02"];
         "trajectory_builder_2d.submaps.num_range_data", "2" => "6", Falls, |o| circle(o).submaps();
         "trajectory_builder_2d.submaps.grid_options_2d.resolution", "0.05" => "0.2", Falls, |o| known(&one_scan(o));
         "grid_type", "PROBABILITY_GRID" => "TSDF", Rises, is_tsdf, ["range_data_inserter_type=TSDF_INSERTER_2D"];
