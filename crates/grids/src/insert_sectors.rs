@@ -73,7 +73,11 @@ impl SectorInserter {
         };
         let free = self.insert_free_space.then_some(|offset| &self.misses[level(offset)]);
         let step = grid.limits().resolution() as f32;
-        let joined = if self.join_surfaces && std::env::var_os("JOINR").is_some() { between_neighbours(range_data, step) } else { Vec::new() };
+        let joined = if self.join_surfaces && std::env::var_os("JOINR").is_some() {
+            between_neighbours(range_data, step)
+        } else {
+            Vec::new()
+        };
         draw((range_data, &joined), grid, self.max_cells, |offset| &self.hits[level(offset)], free)
     }
 }

@@ -85,26 +85,32 @@ pub(super) struct WaitingMatches {
 impl<S: Space> PoseGraph<S> {
     /// Adds what was found; what would connect trajectories waits until enough of it agrees.
     pub(super) fn add_found(&mut self, found: Vec<Constraint>) {
-        let is_connected = |graph: &Self, c: &Constraint| {
-            graph.state.connectivity.are_connected(c.node_id.trajectory_id, c.submap_id.trajectory_id)
-        };
         // Searched in a window, or anywhere: that depends on what was connected when it was searched.
-        let was_connected: Vec<bool> = found.iter().map(|c| is_connected(self, c)).collect();
+        let was_connected: Vec<bool> = found.iter().map(|c| self.is_within_part(c)).collect();
         for (constraint, was_connected) in found.into_iter().zip(was_connected) {
             if self.policy.min_agreeing <= 1 {
                 self.take(constraint);
             } else if was_connected {
                 self.waiting.unsupported.push(constraint);
-            } else if is_connected(self, &constraint) {
+            } else if self.is_within_part(&constraint) {
                 // Its parts have just been put together: there is a place to agree with.
                 if self.fits(&constraint) {
                     self.take(constraint);
                 }
+            } else if constraint.open.is_some() {
+                // Parts that it alone connected would be free to slide along what it leaves open.
+                self.waiting.unsupported.push(constraint);
             } else {
                 self.wait_for_agreement(constraint);
             }
         }
         self.take_supported();
+    }
+
+    /// Whether a constraint relates what is connected already.
+    fn is_within_part(&self, constraint: &Constraint) -> bool {
+        let [node, submap] = [constraint.node_id.trajectory_id, constraint.submap_id.trajectory_id];
+        self.state.connectivity.are_connected(node, submap)
     }
 
     /// How many loop closures still wait for others to agree: at the end they are left out.
@@ -118,7 +124,8 @@ impl<S: Space> PoseGraph<S> {
         let travel = TravelGraph::new(&self.state, &self.ways);
         let is_placed =
             |c: &Constraint| c.open.is_none() || travel.is_tied((c.submap_id, c.node_id), SHORT_WAY);
-        let matches: Vec<Option<WaitingMatch>> = waiting.iter().map(|c| self.bending_match(c)).collect();
+        let within_part = |c: &Constraint| self.is_within_part(c).then(|| self.bending_match(c)).flatten();
+        let matches: Vec<Option<WaitingMatch>> = waiting.iter().map(within_part).collect();
         let needed = self.policy.min_agreeing;
         let is_supported = |of: &WaitingMatch| {
             let agreeing = matches.iter().flatten().filter(|m| agree(m, of));

@@ -72,11 +72,11 @@ mod tests {
     use std::sync::Arc;
 
     use portolan_config::Options;
-    use portolan_geometry::{Rigid3, Time};
+    use portolan_geometry::{Rigid3, Time, Vector3};
 
     use super::*;
     use crate::made_rooms::{node, submap};
-    use crate::{InsertedNode, InsertionSubmap, NodeData, Planar};
+    use crate::{InsertedNode, InsertionSubmap, NodeData, NodeId, OpenShift, Planar, SubmapId};
     use portolan_local_slam::OdometryBridge;
 
     /// A scan of a room of this size at `x` metres in the local map, and the submap that it completes.
@@ -90,6 +90,41 @@ mod tests {
         let finished = Some(Arc::new(submap(room)));
         let submaps = vec![InsertionSubmap { index: 0, local_from_submap: local, finished }];
         InsertedNode { data: Arc::new(data), submaps, open: Default::default(), agreement: None }
+    }
+
+    #[test]
+    fn matches_that_leave_the_way_open_tie_no_parts_but_help_odometry_to() {
+        let options = Options::for_2d().map_builder.pose_graph;
+        let mut graph = PoseGraph::<Planar>::new(options);
+        graph.policy.min_agreeing = 3;
+        let [before, after] = [0, 1].map(TrajectoryId);
+        graph.add_trajectory(before, None);
+        graph.add_node(before, inserted((9.0, 7.0), 0.0, 0.0));
+        let bridge = OdometryBridge { translation: 0.5, rotation: 0.1, is_contradicted: false };
+        graph.begin_piece(before, Vec::new(), after, &Rigid3::identity(), Some(bridge));
+        let nodes = [0, 1, 2].map(|i| {
+            let mut node = inserted((6.0, 5.0), 10.0 + f64::from(i), 20.0 + f64::from(i));
+            node.submaps.iter_mut().for_each(|submap| submap.index = i);
+            graph.add_node(after, node)
+        });
+        let along = OpenShift { direction: Vector3::x() };
+        let found = |node_id: NodeId| Constraint {
+            submap_id: SubmapId::new(before, 0),
+            node_id,
+            submap_from_node: Rigid3::translation(17.0 + f64::from(node_id.index), 0.1, 0.0),
+            translation_weight: 500.0,
+            rotation_weight: 1600.0,
+            tag: ConstraintTag::InterSubmap,
+            open: Some(along),
+            score: Some(0.8),
+        };
+        graph.add_found(nodes.map(found).to_vec());
+        assert!(!graph.state().connectivity.are_connected(before, after));
+        graph.tie_over_gaps();
+        graph.add_found(Vec::new());
+        graph.run_final_optimization();
+        let at = graph.state().nodes.get(&nodes[1]).unwrap().map_from_tracking.translation.vector;
+        assert!((at.x - 21.0).abs() < 1e-3 && (at.y - 0.1).abs() < 0.02, "{at}");
     }
 
     #[test]
