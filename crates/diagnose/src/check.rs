@@ -32,7 +32,7 @@ use crate::scans::RangeChecks;
 use crate::stamps::{Stamps, check_frames};
 use crate::turns::{ImuTurns, Source, Turning, compare_all};
 use kinds::{
-    CLOCK_SET, DAMAGE, HELD_BACK, JITTER, MAP_PARENT, NO_PLAN, NOISY, ODOMETRY_ELSEWHERE, REPAIRED,
+    ASSUMED, CLOCK_SET, DAMAGE, HELD_BACK, JITTER, MAP_PARENT, NO_PLAN, NOISY, ODOMETRY_ELSEWHERE, REPAIRED,
     SCAN_DURATION, TRANSFORMS,
 };
 
@@ -276,7 +276,11 @@ impl<'a> Check<'a> {
             self.findings.push(counted(kind, &issue));
         }
         for issue in issues {
-            let kind = if issue.lost_data() { &DAMAGE } else { &REPAIRED };
+            let kind = match issue.severity {
+                Severity::Error => &DAMAGE,
+                Severity::Warning => &ASSUMED,
+                Severity::Info => &REPAIRED,
+            };
             self.findings.push(counted(kind, issue));
         }
     }
