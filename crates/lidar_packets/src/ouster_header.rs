@@ -3,6 +3,7 @@
 //! All packets but those of the first layouts (`LEGACY`) begin with a header of 32 bytes, in one of two orders.
 
 use crate::bytes::{u16_at, u32_at, u64_at};
+use crate::{PacketLayout, is_ouster_imu};
 
 /// Bytes of the header of a packet, and of what follows its contents.
 pub(crate) const FRAME_BYTES: usize = 32;
@@ -91,6 +92,10 @@ impl PacketHeader {
 
 /// Whether a packet is an Ouster's, but neither of its lidar nor of its IMU.
 pub fn is_other_ouster_data(packet: &[u8]) -> bool {
+    // Packets without a header may begin like any.
+    if PacketLayout::guess(packet).is_some() || is_ouster_imu(packet) {
+        return false;
+    }
     let header = PacketHeader::of(packet);
     let has_serial = SERIALS.contains(&header.serial_bits(packet));
     let kind = packet.first().copied().unwrap_or(0);

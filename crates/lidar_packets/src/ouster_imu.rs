@@ -15,8 +15,9 @@ const ONE_SAMPLE_BYTES: usize = 48;
 const SAMPLE_BYTES: usize = 36;
 /// The time of a sentence of a receiver of satellites, and the sentence.
 const SENTENCE_BYTES: usize = 100;
-/// No packet has more samples.
-const MAX_SAMPLES: usize = 256;
+/// No packet has more samples: a revolution has 64. Packets of lidars with `LEGACY` layouts, which begin with any byte, are
+/// longer or no whole number of samples.
+const MAX_SAMPLES: usize = 128;
 const STANDARD_GRAVITY: f64 = 9.80665;
 
 /// What a packet has of one sample.
