@@ -32,13 +32,11 @@ pub enum PacketHeader {
 
 impl PacketHeader {
     /// The order that a packet's bytes look like. `STANDARD` has a type of two bytes, of which the second is zero; `FUSA`
-    /// begins the sensor's initialization number there. That byte is zero in one of 256, which the serial number tells.
+    /// begins the sensor's initialization number there. That byte is zero in one of 256, which the serial number tells:
+    /// where `FUSA` has it, `STANDARD` has zeros.
     pub fn of(packet: &[u8]) -> Self {
         let is_fusa = match (packet.first(), packet.get(1)) {
-            (Some(1..=3), Some(0)) => {
-                !SERIALS.contains(&Self::Standard.serial_bits(packet))
-                    && SERIALS.contains(&Self::Fusa.serial_bits(packet))
-            }
+            (Some(1..=3), Some(0)) => SERIALS.contains(&Self::Fusa.serial_bits(packet)),
             (Some(1..=3), Some(_)) => true,
             _ => false,
         };

@@ -121,7 +121,8 @@ pub fn clocks_of<Host: PartialEq>(streams: &[PacketStream<'_, Host>]) -> (Vec<us
 fn lidar_of_imu<Host: PartialEq>(streams: &[PacketStream<'_, Host>], imu: usize) -> Option<usize> {
     let own = streams.get(imu).filter(|s| *s.source == PacketSource::OusterImu)?;
     let serial = own.serial();
-    let is_other = |s: &PacketStream<'_, Host>| serial.is_some() && s.serial().is_some_and(|of| serial != Some(of));
+    let is_other =
+        |s: &PacketStream<'_, Host>| serial.is_some() && s.serial().is_some_and(|of| serial != Some(of));
     let only_pair = |is_near: &dyn Fn(&PacketStream<'_, Host>) -> bool| {
         let near = || streams.iter().enumerate().filter(|(_, s)| is_near(s) && !is_other(s));
         let mut lidars = near().filter(|(_, s)| matches!(s.source, PacketSource::OusterLidar(..)));

@@ -68,7 +68,8 @@ impl Likeness {
         let (of_capture, of_file) = (words(capture), words(file));
         let common: Vec<&String> =
             of_capture.iter().zip(&of_file).take_while(|(a, b)| a == b).map(|(a, _)| a).collect();
-        let is_whole = !common.is_empty() && (common.len() == of_capture.len() || common.len() == of_file.len());
+        let is_whole =
+            !common.is_empty() && (common.len() == of_capture.len() || common.len() == of_file.len());
         let has_digit = common.iter().any(|word| word.contains(|c: char| c.is_ascii_digit()));
         if is_whole || (common.len() > 1 && has_digit) {
             return Self::Words(common.iter().map(|word| word.len()).sum());
@@ -132,7 +133,10 @@ impl Descriptions {
                 issues.add(issue.with_number("metadata", metadata).with_number("packets", packets));
             }
             _ if found.likeness != Likeness::Same => {
-                issues.add(found_in(found, "their name is nearest to that of the capture, and they fit its packets"));
+                issues.add(found_in(
+                    found,
+                    "their name is nearest to that of the capture, and they fit its packets",
+                ));
             }
             _ => {}
         }

@@ -10,6 +10,8 @@ mod sensors;
 
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod tests_ouster;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;

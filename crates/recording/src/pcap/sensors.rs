@@ -6,8 +6,8 @@ use std::sync::Arc;
 use portolan_geometry::Time;
 use portolan_issue::IssueLog;
 use portolan_lidar_packets::{
-    Endpoint, PacketHeader, PacketLayout, PacketSource, PacketStream, SensorTime, VelodyneModel,
-    clocks_of, is_ouster_imu, is_velodyne, ouster_imu_serial,
+    Endpoint, PacketHeader, PacketLayout, PacketSource, PacketStream, SensorTime, VelodyneModel, clocks_of,
+    is_ouster_imu, is_velodyne, ouster_imu_serial,
 };
 
 use super::descriptions::{Descriptions, Seen};
@@ -123,8 +123,10 @@ impl Senders {
         let is_lidar = |stream: &Stream| stream.kind == Kind::OusterLidar;
         let has_ouster = self.seen.keys().any(is_lidar);
         let sensors = || self.seen.iter().filter(|(stream, sender)| self.is_sensor(stream, sender));
-        let lidars: Vec<Seen<'_>> =
-            sensors().filter(|(stream, _)| is_lidar(stream)).map(|(stream, sender)| seen(stream, sender)).collect();
+        let lidars: Vec<Seen<'_>> = sensors()
+            .filter(|(stream, _)| is_lidar(stream))
+            .map(|(stream, sender)| seen(stream, sender))
+            .collect();
         let mut found: Vec<(&Stream, &Sender, PacketSource)> = Vec::new();
         for (stream, sender) in sensors() {
             let (packet, _) = &sender.first;
@@ -161,7 +163,8 @@ fn named(found: Vec<(&Stream, &Sender, PacketSource)>) -> Sensors {
         .map(|(stream, sender, source)| PacketStream::new(stream.endpoint.source, source, &sender.first))
         .collect();
     let (numbers, clocks) = clocks_of(&streams);
-    let mut models: Vec<&str> = found.iter().filter_map(|(stream, sender, _)| model(stream, sender)).collect();
+    let mut models: Vec<&str> =
+        found.iter().filter_map(|(stream, sender, _)| model(stream, sender)).collect();
     models.sort_unstable();
     models.dedup();
     let models = models.join(", ");
