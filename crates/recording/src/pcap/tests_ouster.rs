@@ -111,7 +111,8 @@ fn metadata_under_the_name_of_the_capture_are_believed_with_a_warning() {
 #[test]
 fn without_serial_numbers_names_decide() {
     let packets = [lidar(0, 0, 0)];
-    let cases: [(&[(&str, f64)], Option<i32>); 8] = [
+    type Files = [(&'static str, f64)];
+    let cases: [(&Files, Option<i32>); 8] = [
         (&[("OS-1-16_run.json", 5.0), ("OS-1-16_run_0.json", 10.0)], Some(5)),
         (&[("OS-1-16_run_0.json", 10.0), ("OS-1-16.json", 5.0)], Some(10)),
         (&[("OS-1-16.json", 5.0), ("OS-1.json", 10.0)], Some(5)),
