@@ -11,7 +11,7 @@ use portolan_ingest::{
     ScanCorrections, SensorPlan, TfInput, TfTree, TimedPoints, TopicSurvey, plan, points_of_echoes,
     points_of_laser_scan, upright_frame,
 };
-use portolan_issue::{Issue, IssueKind};
+use portolan_issue::{Issue, IssueKind, Severity};
 use portolan_recording::{
     Message, MultiEchoLaserScan, PointCloud2, RecordedMessage, Recording, RecordingError,
 };
