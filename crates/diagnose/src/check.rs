@@ -11,7 +11,7 @@ use portolan_ingest::{
     ScanCorrections, SensorPlan, TfInput, TfTree, TimedPoints, TopicSurvey, plan, points_of_echoes,
     points_of_laser_scan, upright_frame,
 };
-use portolan_issue::{Issue, IssueKind};
+use portolan_issue::{Issue, IssueKind, Severity};
 use portolan_recording::{
     Message, MultiEchoLaserScan, PointCloud2, RecordedMessage, Recording, RecordingError,
 };
@@ -32,7 +32,7 @@ use crate::scans::RangeChecks;
 use crate::stamps::{Stamps, check_frames};
 use crate::turns::{ImuTurns, Source, Turning, compare_all};
 use kinds::{
-    CLOCK_SET, DAMAGE, HELD_BACK, JITTER, MAP_PARENT, NO_PLAN, NOISY, ODOMETRY_ELSEWHERE, REPAIRED,
+    ASSUMED, CLOCK_SET, DAMAGE, HELD_BACK, JITTER, MAP_PARENT, NO_PLAN, NOISY, ODOMETRY_ELSEWHERE, REPAIRED,
     SCAN_DURATION, TRANSFORMS,
 };
 
@@ -276,7 +276,11 @@ impl<'a> Check<'a> {
             self.findings.push(counted(kind, &issue));
         }
         for issue in issues {
-            let kind = if issue.lost_data() { &DAMAGE } else { &REPAIRED };
+            let kind = match issue.severity {
+                Severity::Error => &DAMAGE,
+                Severity::Warning => &ASSUMED,
+                Severity::Info => &REPAIRED,
+            };
             self.findings.push(counted(kind, issue));
         }
     }

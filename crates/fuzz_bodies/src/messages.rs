@@ -95,8 +95,8 @@ pub fn packets(bytes: &[u8]) {
     }
     let (mut issues, mut datagrams) = (IssueLog::default(), Datagrams::default());
     let metadata = OusterMetadata::parse(&description);
-    let length = packets.first().map_or(0, |(_, bytes)| bytes.len());
-    let lidar = PacketSource::ouster_lidar(metadata.as_ref(), length, u16::MAX, &mut issues);
+    let first = packets.first().map_or(&[][..], |(_, bytes)| bytes);
+    let lidar = PacketSource::ouster_lidar(metadata.as_ref(), first, u16::MAX, &mut issues);
     let velodyne = PacketSource::Velodyne(parse_calibration(&description));
     for source in [Some(velodyne), Some(PacketSource::OusterImu), lidar].into_iter().flatten() {
         let (mut decoder, mut clock) = (source.decoder(), SensorTime::default());

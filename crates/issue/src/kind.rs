@@ -126,10 +126,16 @@ kinds! {
     InvalidOusterColumn Info "columns of Ouster packets that the sensor marked as invalid were left out"
     /// A packet of an Ouster's IMU is not as long as it should be.
     WrongOusterImuLength Error "Ouster IMU packets of an unexpected length were left out"
+    /// The sensor measured nothing at that time.
+    InvalidOusterSample Info "samples of an Ouster's IMU that the sensor marked as invalid were left out"
+    /// They do not lie beside the capture under its name.
+    OusterMetadataFound Info "the metadata of an Ouster were read from {file}: {reason}"
+    /// Metadata under the capture's name are taken to be put there on purpose.
+    OtherOusterMetadata Warning "the metadata of an Ouster in {file} are of the serial number {metadata}, its packets of {packets}; for want of others they were used all the same"
     /// The metadata are of another sensor or another setting.
     WrongOusterMetadata Warning "the metadata of an Ouster do not fit its packets and were not used"
     /// Angles of beams are calibrated, and stand in the metadata alone.
-    NoOusterMetadata Warning "an Ouster without its metadata was read with nominal angles of beams; put its metadata (.json) beside the capture under the same name"
+    NoOusterMetadata Warning "an Ouster without its metadata was read with nominal angles of beams, so that points are off by centimetres near by and by metres far away; put its metadata (.json) beside the capture, best under the same name"
     /// The sensor counts from when it was switched on, or its clock is wrong.
     SensorClockNotSet Info "the clock of a sensor was not set; its times were shifted to those of the recording"
     /// The clock of a sensor was set while it measured.

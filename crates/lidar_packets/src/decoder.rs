@@ -2,7 +2,8 @@
 
 use portolan_geometry::Time;
 
-use crate::ouster::{OusterDecoder, imu_sample};
+use crate::ouster::OusterDecoder;
+use crate::ouster_imu::imu_samples;
 use crate::velodyne::VelodyneDecoder;
 use crate::{PacketSource, SensorTime, Sweep};
 use portolan_issue::{IssueKind, IssueLog};
@@ -77,7 +78,7 @@ impl PacketDecoder {
                 decoder.push(packet, clock, issues, &mut |sweep| give(Measured::Sweep(sweep)));
             }
             Decoder::OusterImu => {
-                imu_sample(packet, clock, issues).map(Measured::Imu).map(give);
+                imu_samples(packet, clock, issues, &mut |sample| give(Measured::Imu(sample)));
             }
         }
     }

@@ -2,36 +2,8 @@
 
 use serde_json::Value;
 
-/// Layouts of the channels of lidar packets.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PacketProfile {
-    /// `LEGACY`, of all firmware before 2.2.
-    Legacy,
-    /// `RNG19_RFL8_SIG16_NIR16`.
-    Single,
-    /// `RNG15_RFL8_NIR8`.
-    LowData,
-    /// `RNG19_RFL8_SIG16_NIR16_DUAL`.
-    Dual,
-    /// `FUSA_RNG15_RFL8_NIR8_DUAL`.
-    LowDataDual,
-}
-
-impl PacketProfile {
-    /// All of them.
-    pub const ALL: [Self; 5] = [Self::Legacy, Self::Single, Self::LowData, Self::Dual, Self::LowDataDual];
-
-    fn named(name: &str) -> Option<Self> {
-        Some(match name {
-            "LEGACY" => Self::Legacy,
-            "RNG19_RFL8_SIG16_NIR16" => Self::Single,
-            "RNG15_RFL8_NIR8" => Self::LowData,
-            "RNG19_RFL8_SIG16_NIR16_DUAL" => Self::Dual,
-            "FUSA_RNG15_RFL8_NIR8_DUAL" => Self::LowDataDual,
-            _ => return None,
-        })
-    }
-}
+use crate::ouster::USUAL_COLUMNS;
+use crate::{PacketHeader, PacketLayout, PacketProfile};
 
 /// What is known about a sensor.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,14 +12,22 @@ pub struct OusterMetadata {
     pub altitudes: Vec<f64>,
     /// Degrees from the azimuth of the column, by channel.
     pub azimuths: Vec<f64>,
-    /// Distance of the beams' origin from the axis, metres.
-    pub beam_origin: f64,
+    /// Where the beams begin, ahead of the axis and above the origin of the lidar's frame, metres.
+    pub beam_origin: [f64; 2],
     /// Columns of a whole revolution.
     pub columns_per_frame: usize,
     /// Columns of a packet.
     pub columns_per_packet: usize,
     /// None if it is not given.
     pub profile: Option<PacketProfile>,
+    /// None if it is not given.
+    pub header: Option<PacketHeader>,
+    /// Which sensor it is, and from which start of it the metadata are; none where they do not tell.
+    pub serial: Option<u64>,
+    /// Changes with each start of the sensor.
+    pub initialization: Option<u32>,
+    /// Port to which it sends lidar packets.
+    pub lidar_port: Option<u16>,
     /// Rows of the rotation and the translation in metres.
     rotation: [[f64; 3]; 3],
     translation: [f64; 3],
@@ -62,10 +42,14 @@ impl OusterMetadata {
         Self {
             altitudes: (0..channels).map(|i| half - 2.0 * half * i as f64 / gaps).collect(),
             azimuths: [3.1, 1.0, -1.0, -3.1].into_iter().cycle().take(channels).collect(),
-            beam_origin: 0.0158,
+            beam_origin: [0.0158, 0.0],
             columns_per_frame,
-            columns_per_packet: crate::ouster::USUAL_COLUMNS,
+            columns_per_packet: USUAL_COLUMNS,
             profile: None,
+            header: None,
+            serial: None,
+            initialization: None,
+            lidar_port: None,
             rotation: [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]],
             translation: [0.0, 0.0, 0.03618],
         }
@@ -74,13 +58,9 @@ impl OusterMetadata {
     /// Reads the JSON of any firmware; values may stand at the top or in sections. None if it has no angles
     /// of beams.
     pub fn parse(text: &str) -> Option<Self> {
-        let root: Value = serde_json::from_str(text).ok()?;
-        let numbers = |key: &str| -> Option<Vec<f64>> {
-            find(&root, key, 0)?.as_array()?.iter().map(Value::as_f64).collect()
-        };
-        let number = |key: &str| find(&root, key, 0).and_then(Value::as_f64);
-        let text = |key: &str| find(&root, key, 0).and_then(Value::as_str);
-        let (altitudes, azimuths) = (numbers("beam_altitude_angles")?, numbers("beam_azimuth_angles")?);
+        let json = Json(serde_json::from_str(text).ok()?);
+        let altitudes = json.numbers("beam_altitude_angles")?;
+        let azimuths = json.numbers("beam_azimuth_angles")?;
         let is_usable = |list: &[f64]| list.iter().all(|v| v.is_finite() && v.abs() <= 360.0);
         if !matches!(altitudes.len(), 1..=256)
             || altitudes.len() != azimuths.len()
@@ -89,25 +69,80 @@ impl OusterMetadata {
         {
             return None;
         }
-        let mode_columns = text("lidar_mode").and_then(|mode| mode.split('x').next()?.parse::<f64>().ok());
-        let columns = number("columns_per_frame").or(mode_columns).unwrap_or(1024.0);
-        let per_packet = number("columns_per_packet").unwrap_or(16.0);
+        let mode = json.text("lidar_mode");
+        let mode_columns = mode.and_then(|mode| mode.split('x').next()?.parse::<f64>().ok());
+        let columns = json.number("columns_per_frame").or(mode_columns).unwrap_or(1024.0);
+        let per_packet = json.number("columns_per_packet").unwrap_or(16.0);
         if !(1.0..=65_536.0).contains(&columns) || !(1.0..=256.0).contains(&per_packet) {
             return None;
         }
         let mut metadata = Self::assumed(altitudes.len(), columns as usize);
         (metadata.altitudes, metadata.azimuths) = (altitudes, azimuths);
         metadata.columns_per_packet = per_packet as usize;
-        metadata.profile = text("udp_profile_lidar").and_then(PacketProfile::named);
-        if let Some(origin) = number("lidar_origin_to_beam_origin_mm").filter(|mm| mm.abs() < 1000.0) {
-            metadata.beam_origin = 0.001 * origin;
-        }
-        let matrix = numbers("lidar_to_sensor_transform").filter(|m| m.len() == 16);
-        if let Some([a, b, c, _]) = matrix.as_deref().map(|m| m.as_chunks::<4>().0) {
-            metadata.rotation = [a, b, c].map(|[x, y, z, _]| [*x, *y, *z]);
-            metadata.translation = [a, b, c].map(|[.., millimetres]| 0.001 * millimetres);
-        }
+        metadata.beam_origin = json.beam_origin();
+        metadata.take_transform(&json);
+        metadata.take_identity(&json);
         Some(metadata)
+    }
+
+    fn take_transform(&mut self, json: &Json) {
+        let matrix = json.matrix("lidar_to_sensor_transform");
+        if let Some([a, b, c, _]) = matrix.as_deref().map(|m| m.as_chunks::<4>().0) {
+            self.rotation = [a, b, c].map(|[x, y, z, _]| [*x, *y, *z]);
+            self.translation = [a, b, c].map(|[.., millimetres]| 0.001 * millimetres);
+        }
+    }
+
+    /// How its packets look, and what they tell of their sender.
+    fn take_identity(&mut self, json: &Json) {
+        self.profile = json.text("udp_profile_lidar").and_then(PacketProfile::named);
+        // Before firmware 3.2 the profile decided the header.
+        let usual_header = self.profile.map(|profile| match profile {
+            PacketProfile::FusaLowDataDual => PacketHeader::Fusa,
+            _ => PacketHeader::Standard,
+        });
+        self.header = json.text("header_type").and_then(PacketHeader::named).or(usual_header);
+        self.serial = json.whole("prod_sn").filter(|serial| *serial != 0);
+        self.initialization = json.whole("initialization_id").and_then(|id| u32::try_from(id).ok());
+        self.lidar_port = json.whole("udp_port_lidar").and_then(|port| u16::try_from(port).ok());
+    }
+
+    /// The layout of a packet: that of the profile the metadata name, or of another with as many beams and as long.
+    pub fn layout_of(&self, packet: &[u8]) -> Option<PacketLayout> {
+        let told = self.profile.into_iter().chain(PacketProfile::ALL);
+        told.map(|profile| self.layout(profile, packet)).find(|l| l.packet_bytes() == packet.len())
+    }
+
+    /// Whether packets are as these metadata say: as long, with columns below the number of a revolution.
+    pub fn describe(&self, packet: &[u8], largest_column: u16) -> bool {
+        let is_as_long = match self.profile {
+            Some(profile) => self.layout(profile, packet).packet_bytes() == packet.len(),
+            None => self.layout_of(packet).is_some(),
+        };
+        is_as_long && usize::from(largest_column) < self.columns_per_frame
+    }
+
+    /// Whether a packet means the same by these metadata and by others.
+    pub fn agrees(&self, other: &Self, packet: &[u8]) -> bool {
+        let nameless = |metadata: &Self| Self {
+            serial: None,
+            initialization: None,
+            lidar_port: None,
+            profile: None,
+            header: None,
+            ..metadata.clone()
+        };
+        self.layout_of(packet) == other.layout_of(packet) && nameless(self) == nameless(other)
+    }
+
+    /// Bytes of the packets of its profile; none if the metadata do not name it.
+    pub fn packet_bytes(&self) -> Option<usize> {
+        self.profile.map(|profile| self.layout(profile, &[]).packet_bytes())
+    }
+
+    fn layout(&self, profile: PacketProfile, packet: &[u8]) -> PacketLayout {
+        let header = self.header.unwrap_or_else(|| PacketHeader::of(packet));
+        PacketLayout { profile, header, channels: self.altitudes.len(), columns: self.columns_per_packet }
     }
 
     /// A point of the lidar's frame in that of the sensor, metres.
@@ -115,6 +150,68 @@ impl OusterMetadata {
         let turned = self.rotation.map(|[a, b, c]| a * x + b * y + c * z);
         let ([x, y, z], [a, b, c]) = (turned, self.translation);
         [x + a, y + b, z + c]
+    }
+}
+
+/// The JSON of a sensor.
+struct Json(Value);
+
+impl Json {
+    /// What packets are like stands among the settings that were asked for, too, which need not be those in force.
+    fn find(&self, key: &str) -> Option<&Value> {
+        let in_force = find(&self.0, "lidar_data_format", 0).and_then(|section| find(section, key, 0));
+        in_force.or_else(|| find(&self.0, key, 0))
+    }
+
+    fn number(&self, key: &str) -> Option<f64> {
+        self.find(key).and_then(Value::as_f64)
+    }
+
+    fn text(&self, key: &str) -> Option<&str> {
+        self.find(key).and_then(Value::as_str)
+    }
+
+    /// A whole number, which may be written as text.
+    fn whole(&self, key: &str) -> Option<u64> {
+        let value = self.find(key)?;
+        value.as_u64().or_else(|| value.as_str()?.trim().parse().ok())
+    }
+
+    fn numbers(&self, key: &str) -> Option<Vec<f64>> {
+        self.find(key)?.as_array()?.iter().map(Value::as_f64).collect()
+    }
+
+    fn matrix(&self, key: &str) -> Option<Vec<f64>> {
+        self.numbers(key).filter(|m| m.len() == 16 && m.iter().all(|v| v.is_finite()))
+    }
+
+    /// Ahead and above, metres: from the transform of the beams, else from the distance to the axis alone, else that of
+    /// the model.
+    fn beam_origin(&self) -> [f64; 2] {
+        let is_near = |mm: &f64| mm.abs() < 1000.0;
+        let matrix = self.matrix("beam_to_lidar_transform");
+        let of_transform = matrix.as_deref().map(|m| m.as_chunks::<4>().0).and_then(|rows| match rows {
+            [[.., ahead], _, [.., above], _] if is_near(ahead) && is_near(above) => {
+                Some([0.001 * ahead, 0.001 * above])
+            }
+            _ => None,
+        });
+        let told = || self.number("lidar_origin_to_beam_origin_mm").filter(is_near);
+        of_transform.unwrap_or_else(|| {
+            let millimetres = told().unwrap_or_else(|| usual_origin(self.text("prod_line").unwrap_or("")));
+            [0.001 * millimetres, 0.0]
+        })
+    }
+}
+
+/// Distance of the beams' origin from the axis, millimetres, of sensors whose metadata do not have it (Ouster's SDK,
+/// `default_lidar_origin_to_beam_origin`): those of the first generation name no model.
+fn usual_origin(model: &str) -> f64 {
+    match model.get(..5) {
+        Some("OS-0-") => 27.67,
+        Some("OS-1-") => 15.806,
+        Some("OS-2-") => 13.762,
+        _ => 12.163,
     }
 }
 

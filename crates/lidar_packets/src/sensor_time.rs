@@ -88,6 +88,10 @@ impl<'a, Host> PacketStream<'a, Host> {
     pub fn new(host: Host, source: &'a PacketSource, first: &'a (Vec<u8>, Time)) -> Self {
         Self { host, source, first: (&first.0, first.1) }
     }
+
+    fn serial(&self) -> Option<u64> {
+        self.source.serial(self.first.0)
+    }
 }
 
 /// By stream the number of its clock, and the clocks: as many as streams, of which some stay unused.
@@ -113,15 +117,20 @@ pub fn clocks_of<Host: PartialEq>(streams: &[PacketStream<'_, Host>]) -> (Vec<us
     (numbers, clocks)
 }
 
-/// The lidar that sits in one housing with an IMU: the only ones of their host, or of all.
+/// The lidar that sits in one housing with an IMU: that of its serial number, or the only ones of their host, or of all.
 fn lidar_of_imu<Host: PartialEq>(streams: &[PacketStream<'_, Host>], imu: usize) -> Option<usize> {
     let own = streams.get(imu).filter(|s| *s.source == PacketSource::OusterImu)?;
+    let serial = own.serial();
+    let is_other =
+        |s: &PacketStream<'_, Host>| serial.is_some() && s.serial().is_some_and(|of| serial != Some(of));
     let only_pair = |is_near: &dyn Fn(&PacketStream<'_, Host>) -> bool| {
-        let near = || streams.iter().enumerate().filter(|(_, s)| is_near(s));
+        let near = || streams.iter().enumerate().filter(|(_, s)| is_near(s) && !is_other(s));
         let mut lidars = near().filter(|(_, s)| matches!(s.source, PacketSource::OusterLidar(..)));
         let (lidar, _) = lidars.next()?;
         let imus = near().filter(|(_, s)| *s.source == PacketSource::OusterImu).count();
         (imus == 1 && lidars.next().is_none()).then_some(lidar)
     };
-    only_pair(&|s| s.host == own.host).or_else(|| only_pair(&|_| true))
+    only_pair(&|s| serial.is_some() && s.serial() == serial)
+        .or_else(|| only_pair(&|s| s.host == own.host))
+        .or_else(|| only_pair(&|_| true))
 }

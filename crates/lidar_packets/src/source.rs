@@ -2,8 +2,9 @@
 
 use portolan_geometry::Time;
 
-use crate::ouster::{self, USUAL_COLUMNS};
-use crate::{Laser, OusterMetadata, PacketDecoder, PacketLayout, PacketProfile};
+use crate::ouster::USUAL_COLUMNS;
+use crate::ouster_imu::{imu_sensor_time, ouster_imu_serial};
+use crate::{Laser, OusterMetadata, PacketDecoder, PacketLayout};
 use portolan_issue::{IssueKind, IssueLog};
 
 /// What sends packets of one kind.
@@ -18,30 +19,23 @@ pub enum PacketSource {
 }
 
 impl PacketSource {
-    /// The lidar of an Ouster, from what it tells or from the length of its packets; none if no layout is as long.
+    /// The lidar of an Ouster, from what it tells or from the length of a packet; none if no layout is as long.
     ///
     /// `largest_column` is that of some packets ([`PacketLayout::largest_column`]): without metadata it tells how many
     /// columns a revolution has.
     pub fn ouster_lidar(
         metadata: Option<&OusterMetadata>,
-        packet_bytes: usize,
+        packet: &[u8],
         largest_column: u16,
         issues: &mut IssueLog,
     ) -> Option<Self> {
         if let Some(metadata) = metadata {
-            let layout = |profile| PacketLayout {
-                profile,
-                channels: metadata.altitudes.len(),
-                columns: metadata.columns_per_packet,
-            };
-            let told = metadata.profile.into_iter().chain(PacketProfile::ALL);
-            let fitting = told.map(layout).find(|layout| layout.packet_bytes() == packet_bytes);
-            if let Some(layout) = fitting {
+            if let Some(layout) = metadata.layout_of(packet) {
                 return Some(Self::OusterLidar(Box::new(metadata.clone()), layout));
             }
             issues.count(IssueKind::WrongOusterMetadata, 1);
         }
-        let layout = PacketLayout::guess(packet_bytes)?;
+        let layout = PacketLayout::guess(packet)?;
         issues.count(IssueKind::NoOusterMetadata, 1);
         let columns = usize::from(largest_column).max(USUAL_COLUMNS).next_power_of_two().clamp(512, 4096);
         let metadata = OusterMetadata::assumed(layout.channels, columns);
@@ -53,7 +47,16 @@ impl PacketSource {
         match self {
             Self::Velodyne(_) => None,
             Self::OusterLidar(_, layout) => layout.sensor_time(packet),
-            Self::OusterImu => ouster::imu_sensor_time(packet),
+            Self::OusterImu => imu_sensor_time(packet),
+        }
+    }
+
+    /// The serial number of the sensor that sent a packet, where packets tell it.
+    pub fn serial(&self, packet: &[u8]) -> Option<u64> {
+        match self {
+            Self::Velodyne(_) => None,
+            Self::OusterLidar(_, layout) => layout.serial(packet),
+            Self::OusterImu => ouster_imu_serial(packet),
         }
     }
 

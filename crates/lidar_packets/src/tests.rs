@@ -132,10 +132,16 @@ fn a_calibration_replaces_nominal_angles() {
     assert!(parse_calibration("lasers:\n- {laser_id: 99999}\n").is_none() && parse_calibration("").is_none());
 }
 
+fn header_of(profile: PacketProfile) -> PacketHeader {
+    if profile == PacketProfile::FusaLowDataDual { PacketHeader::Fusa } else { PacketHeader::Standard }
+}
+
 fn ouster_packet(profile: PacketProfile, channels: usize, frame: u16, first: u16, range: u32) -> Vec<u8> {
     let is_legacy = profile == PacketProfile::Legacy;
     let mut packet = if is_legacy { Vec::new() } else { vec![0; 32] };
-    if !is_legacy {
+    if header_of(profile) == PacketHeader::Fusa {
+        packet[4..8].copy_from_slice(&(70_000 + u32::from(frame)).to_le_bytes());
+    } else if !is_legacy {
         packet[2..4].copy_from_slice(&frame.to_le_bytes());
     }
     for column in first..first + 16 {
@@ -148,13 +154,11 @@ fn ouster_packet(profile: PacketProfile, channels: usize, frame: u16, first: u16
             packet.extend_from_slice(&1_u16.to_le_bytes());
         }
         for _ in 0..channels {
-            let mut bytes =
-                vec![0; [12, 12, 4, 16, 8][PacketProfile::ALL.iter().position(|p| *p == profile).unwrap()]];
-            match profile {
-                PacketProfile::LowData | PacketProfile::LowDataDual => {
-                    bytes[..2].copy_from_slice(&((range / 8) as u16).to_le_bytes());
-                }
-                _ => bytes[..4].copy_from_slice(&range.to_le_bytes()),
+            let mut bytes = vec![0; profile.channel_bytes()];
+            if profile.name().contains("RNG15") {
+                bytes[..2].copy_from_slice(&((range / 8) as u16).to_le_bytes());
+            } else {
+                bytes[..4].copy_from_slice(&range.to_le_bytes());
             }
             packet.extend(bytes);
         }
@@ -169,9 +173,10 @@ fn ouster_packet(profile: PacketProfile, channels: usize, frame: u16, first: u16
 #[test]
 fn all_layouts_of_ouster_give_the_same_sphere() {
     let mut metadata = OusterMetadata::assumed(64, 1024);
-    metadata.beam_origin = 0.02;
+    metadata.beam_origin = [0.02, 0.0];
     for profile in PacketProfile::ALL {
-        let layout = PacketLayout { profile, channels: 64, columns: 16 };
+        let header = header_of(profile);
+        let layout = PacketLayout { profile, header, channels: 64, columns: 16 };
         let packets: Vec<_> = [(7, 0), (7, 256), (8, 0)]
             .map(|(frame, first)| (ouster_packet(profile, 64, frame, first, 4000), arrival()))
             .to_vec();
@@ -204,8 +209,12 @@ fn metadata_are_read_at_any_depth_and_nonsense_is_not() {
         "lidar_origin_to_beam_origin_mm": 20}, "lidar_data_format": {"columns_per_frame": 512,
         "columns_per_packet": 16}, "config_params": {"udp_profile_lidar": "RNG15_RFL8_NIR8"}}"#;
     let metadata = OusterMetadata::parse(text).unwrap();
-    assert_eq!((metadata.altitudes.len(), metadata.columns_per_frame, metadata.beam_origin), (2, 512, 0.02));
+    assert_eq!(
+        (metadata.altitudes.len(), metadata.columns_per_frame, metadata.beam_origin),
+        (2, 512, [0.02, 0.0])
+    );
     assert_eq!(metadata.profile, Some(PacketProfile::LowData));
+    assert_eq!((metadata.header, metadata.serial), (Some(PacketHeader::Standard), None));
     let legacy = r#"{"beam_altitude_angles": [1.5], "beam_azimuth_angles": [0], "lidar_mode": "2048x10"}"#;
     assert_eq!(OusterMetadata::parse(legacy).unwrap().columns_per_frame, 2048);
     for wrong in ["", "{}", "[1]", r#"{"beam_altitude_angles": [1e9], "beam_azimuth_angles": [0]}"#] {
@@ -224,6 +233,93 @@ fn imu_packets_are_in_si_units() {
     assert_eq!(imu.linear_acceleration, [0.0, 0.0, 9.80665]);
     assert!((imu.angular_velocity[0] - std::f64::consts::PI).abs() < 1e-12);
     assert_eq!(imu.time, arrival());
+}
+
+/// An IMU packet with several samples 1 ms apart, the second marked as invalid.
+fn samples_packet(count: u64) -> Vec<u8> {
+    let mut packet = vec![0; 32 + 100];
+    packet[0] = 2;
+    packet[7..12].copy_from_slice(&122_247_000_785_u64.to_le_bytes()[..5]);
+    for i in 0..count {
+        packet.extend_from_slice(&(5_000_000_000 + i * 1_000_000).to_le_bytes());
+        packet.extend_from_slice(&(i as u16 * 32).to_le_bytes());
+        packet.extend_from_slice(&u16::from(i != 1).to_le_bytes());
+        for value in [0.5, 0.0, 9.81, 0.25, 0.0, i as f32] {
+            packet.extend_from_slice(&f32::to_le_bytes(value));
+        }
+    }
+    packet.extend_from_slice(&[0; 32]);
+    packet
+}
+
+#[test]
+fn imu_packets_with_several_samples_are_in_si_units_already() {
+    let packet = samples_packet(8);
+    assert!(is_ouster_imu(&packet) && ouster_imu_serial(&packet) == Some(122_247_000_785));
+    let (measured, issues) = decode(&PacketSource::OusterImu, &[(packet, arrival())]);
+    assert_eq!((measured.len(), counted(&issues, IssueKind::InvalidOusterSample)), (7, 1));
+    let samples: Vec<&ImuSample> =
+        measured.iter().map(|m| if let Measured::Imu(s) = m { s } else { panic!() }).collect();
+    assert_eq!(samples[6].linear_acceleration, [0.5, 0.0, f64::from(9.81_f32)]);
+    assert_eq!(samples[6].angular_velocity, [0.25, 0.0, 7.0]);
+    assert_eq!(samples[6].time - samples[0].time, Duration::from_seconds(0.007));
+    // The lengths of lidar packets without a header are no such packets', whatever they begin with.
+    for channels in [16, 32, 64, 128] {
+        let mut lidar = ouster_packet(PacketProfile::Legacy, channels, 1, 0, 1000);
+        lidar[0] = 2;
+        assert!(!is_ouster_imu(&lidar) && !is_other_ouster_data(&lidar));
+    }
+}
+
+#[test]
+fn packets_about_zones_are_left_out_silently_and_cut_ones_are_counted() {
+    let layout = PacketLayout {
+        profile: PacketProfile::SingleZones,
+        header: PacketHeader::Standard,
+        channels: 32,
+        columns: 16,
+    };
+    let lidar = PacketSource::OusterLidar(Box::new(OusterMetadata::assumed(32, 1024)), layout);
+    let mut zones = vec![0; 680];
+    zones[0] = 3;
+    for source in [lidar, PacketSource::OusterImu] {
+        let (measured, issues) = decode(&source, &[(zones.clone(), arrival()), (vec![1; 100], arrival())]);
+        let lost: u64 = issues.iter().map(|(_, count)| count).sum();
+        assert!(measured.is_empty() && lost == 1, "{issues:?}");
+    }
+}
+
+#[test]
+fn beams_may_begin_above_the_origin_of_the_lidar() {
+    let text = r#"{"beam_intrinsics": {"beam_altitude_angles": [90], "beam_azimuth_angles": [0],
+        "lidar_origin_to_beam_origin_mm": 99,
+        "beam_to_lidar_transform": [1, 0, 0, 30, 0, 1, 0, 0, 0, 0, 1, 40, 0, 0, 0, 1]},
+        "lidar_intrinsics": {"lidar_to_sensor_transform": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]},
+        "lidar_data_format": {"columns_per_frame": 512, "columns_per_packet": 16,
+        "udp_profile_lidar": "RNG19_RFL8_SIG16_NIR16"}}"#;
+    let metadata = OusterMetadata::parse(text).unwrap();
+    let packet = ouster_packet(PacketProfile::Single, 1, 1, 0, 5000);
+    let layout = metadata.layout_of(&packet).unwrap();
+    assert_eq!(metadata.packet_bytes(), Some(packet.len()));
+    let source = PacketSource::OusterLidar(Box::new(metadata), layout);
+    let (measured, _) = decode(&source, &[(packet, arrival())]);
+    // 5 m are counted from the origin of the lidar's frame, 50 mm by way of that of the beams.
+    let ([x, y, z], ..) = points(&sweeps(measured)[0])[0];
+    assert!((x - 0.03).abs() < 1e-6 && y.abs() < 1e-6 && (z - 4.99).abs() < 1e-6, "{x} {y} {z}");
+}
+
+#[test]
+fn settings_in_force_count_more_than_those_asked_for() {
+    let text = r#"{"beam_altitude_angles": [1], "beam_azimuth_angles": [0], "prod_line": "OS-0-128",
+        "config_params": {"columns_per_packet": 8, "udp_profile_lidar": "RNG15_RFL8_NIR8", "udp_port_lidar": 7502},
+        "lidar_data_format": {"columns_per_packet": 16, "header_type": "FUSA",
+        "udp_profile_lidar": "RNG15_RFL8_NIR8_ZONE16"},
+        "sensor_info": {"prod_sn": "122247000785", "initialization_id": 390078}}"#;
+    let metadata = OusterMetadata::parse(text).unwrap();
+    assert_eq!((metadata.columns_per_packet, metadata.header), (16, Some(PacketHeader::Fusa)));
+    assert_eq!(metadata.profile, Some(PacketProfile::LowDataZones));
+    assert_eq!((metadata.serial, metadata.initialization), (Some(122_247_000_785), Some(390_078)));
+    assert_eq!((metadata.lidar_port, metadata.beam_origin), (Some(7502), [0.001 * 27.67, 0.0]));
 }
 
 /// Packets of 400 turns' parts, 1.327 ms apart, the sensor's clock ahead of arrival by some seconds each.
@@ -299,7 +395,12 @@ proptest! {
         let source = if velodyne {
             PacketSource::Velodyne(None)
         } else {
-            let layout = PacketLayout { profile: PacketProfile::LowData, channels: 16, columns: 16 };
+            let layout = PacketLayout {
+                profile: PacketProfile::LowData,
+                header: PacketHeader::Standard,
+                channels: 16,
+                columns: 16,
+            };
             PacketSource::OusterLidar(Box::new(OusterMetadata::assumed(16, 1024)), layout)
         };
         let length = if velodyne { PACKET_BYTES } else { 64 + 16 * (12 + 64) };

@@ -74,6 +74,13 @@ pub(super) const HELD_BACK: Kind = Kind {
     to_do: "hand on new poses alone, stamped when they were measured",
 };
 
+pub(super) const ASSUMED: Kind = Kind {
+    name: "assumed",
+    severity: Severity::Warning,
+    effect: "the result may be worse than it could be; map does the same",
+    to_do: "",
+};
+
 pub(super) const REPAIRED: Kind = Kind {
     name: "repaired",
     severity: Severity::Info,

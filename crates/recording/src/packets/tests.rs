@@ -131,3 +131,58 @@ fn lidar_and_imu_of_an_ouster_share_its_clock() {
     assert_eq!(stamps("imu").1, imu);
     assert_eq!(stamps("lidar").0, lidar);
 }
+
+#[test]
+fn packets_of_new_firmware_are_read_from_bags() {
+    let metadata = r#"{"beam_intrinsics": {"beam_altitude_angles": [1.5, -1.5], "beam_azimuth_angles": [0, 1]},
+        "lidar_data_format": {"columns_per_frame": 512, "columns_per_packet": 8, "header_type": "FUSA",
+        "udp_profile_lidar": "RNG15_RFL8_NIR8_ZONE16"}}"#;
+    let header = |kind: u8| {
+        let mut packet = vec![kind, 5, 0, 0];
+        packet.resize(32, 0);
+        packet
+    };
+    let lidar = |frame: u8| {
+        let mut packet = header(1);
+        packet[7] = frame; // the highest of 32 bits
+        for column in 0..8_u16 {
+            packet.extend_from_slice(&[0; 8]);
+            packet.extend_from_slice(&column.to_le_bytes());
+            packet.extend_from_slice(&[1, 0]);
+            // Range and reflectivity, then zones.
+            (0..2).for_each(|_| packet.extend_from_slice(&[0xf4, 0x01, 9, 0, 0xff, 0xff, 0, 0]));
+        }
+        packet.extend_from_slice(&[0; 32]);
+        packet
+    };
+    let mut imu = header(2);
+    imu.resize(132, 0);
+    (0..4).for_each(|_| imu.extend_from_slice(&[[0; 10].as_slice(), &[1], &[0; 25]].concat()));
+    imu.extend_from_slice(&[0; 32]);
+    let mut zones = header(3);
+    zones.resize(680, 0);
+    let messages = [
+        (PacketKind::OusterMetadata, "metadata", metadata.as_bytes().to_vec()),
+        (PacketKind::Ouster, "zone_packets", zones),
+        (PacketKind::Ouster, "imu_packets", imu),
+        (PacketKind::Ouster, "lidar_packets", lidar(1)),
+        (PacketKind::Ouster, "lidar_packets", lidar(2)),
+    ];
+    let message = |(kind, topic, bytes): (PacketKind, &str, Vec<u8>)| RecordedMessage {
+        topic: format!("/ouster/{topic}").as_str().into(),
+        log_time: arrival(),
+        message: Message::SensorPackets(SensorPackets { kind, header: None, packets: vec![(None, bytes)] }),
+    };
+    let recording = MemoryRecording::new(messages.into_iter().map(message).collect());
+    let recording = unpacked(Box::new(recording)).unwrap();
+    let mut reader = recording.read(&|_| true).unwrap();
+    let messages: Vec<Message> =
+        std::iter::from_fn(|| reader.next_message().unwrap()).map(|m| m.message).collect();
+    let widths: Vec<u32> = messages
+        .iter()
+        .filter_map(|m| if let Message::PointCloud2(c) = m { Some(c.width) } else { None })
+        .collect();
+    assert_eq!(widths, [16, 16]);
+    assert_eq!(messages.iter().filter(|m| matches!(m, Message::Imu(_))).count(), 4);
+    assert!(reader.issues().iter().all(|issue| !issue.lost_data()), "{:?}", reader.issues());
+}

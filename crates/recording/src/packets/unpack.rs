@@ -6,7 +6,8 @@ use std::sync::Arc;
 use portolan_geometry::Time;
 use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_lidar_packets::{
-    IMU_PACKET_BYTES, OusterMetadata, PacketLayout, PacketSource, PacketStream, SensorTime, clocks_of,
+    OusterMetadata, PacketHeader, PacketLayout, PacketSource, PacketStream, SensorTime, clocks_of,
+    is_other_ouster_data, is_ouster_imu, ouster_imu_serial,
 };
 
 use super::{OUSTER_FRAME, PacketMessages, type_name};
@@ -30,6 +31,8 @@ struct TopicOfPackets {
     frame: String,
     /// Number of its sensor's clock.
     clock: usize,
+    /// Whether each packet becomes a message.
+    is_one_to_one: bool,
 }
 
 /// Types whose messages are decoded as clouds, each by itself.
@@ -111,6 +114,9 @@ impl Look {
             }
             return;
         }
+        if message.kind == PacketKind::Ouster && is_other_ouster_data(first) {
+            return;
+        }
         let seen = self.topics.entry(topic.clone()).or_insert_with(|| SeenTopic {
             kind: message.kind,
             first: (first.clone(), arrival_of(*stamp, log_time)),
@@ -131,28 +137,33 @@ impl Look {
         Ok(())
     }
 
-    /// Metadata of the same node, or of the only one.
-    fn metadata_of(&self, topic: &str) -> Option<&OusterMetadata> {
-        let same_node = self.metadata.iter().find(|(name, _)| node(name) == node(topic));
-        same_node.or_else(|| self.metadata.iter().next().filter(|_| self.metadata.len() == 1)).map(|(_, m)| m)
+    /// Metadata of the same node, or of the same serial number, or the only ones.
+    fn metadata_of(&self, topic: &str, packet: &[u8]) -> Option<&OusterMetadata> {
+        let serial = PacketHeader::of(packet).serial(packet);
+        let same_node = || self.metadata.iter().find(|(name, _)| node(name) == node(topic));
+        let same_serial = || self.metadata.iter().find(|(_, m)| m.serial.is_some() && m.serial == serial);
+        let only = || self.metadata.iter().next().filter(|_| self.metadata.len() == 1);
+        same_node().or_else(same_serial).or_else(only).map(|(_, metadata)| metadata)
     }
 
     fn sources(&self, issues: &mut IssueLog) -> (BTreeMap<Arc<str>, TopicOfPackets>, Vec<SensorTime>) {
         let mut found = Vec::new();
         for (topic, seen) in &self.topics {
-            let bytes = seen.first.0.len();
+            let packet = &seen.first.0;
             let source = match seen.kind {
                 PacketKind::Velodyne => Some(PacketSource::Velodyne(None)),
-                _ if bytes == IMU_PACKET_BYTES => Some(PacketSource::OusterImu),
+                _ if is_ouster_imu(packet) => Some(PacketSource::OusterImu),
                 _ => {
-                    let metadata = self.metadata_of(topic);
-                    PacketSource::ouster_lidar(metadata, bytes, seen.largest_column, issues)
+                    let metadata = self.metadata_of(topic, packet);
+                    PacketSource::ouster_lidar(metadata, packet, seen.largest_column, issues)
                 }
             };
             match source {
                 Some(source) => found.push((topic, seen, source)),
                 None => issues.add(
-                    Issue::new(IssueKind::UnknownPacketSensor).of(topic.clone()).with_number("bytes", bytes),
+                    Issue::new(IssueKind::UnknownPacketSensor)
+                        .of(topic.clone())
+                        .with_number("bytes", packet.len()),
                 ),
             }
         }
@@ -164,7 +175,12 @@ impl Look {
         let named = found.into_iter().zip(numbers).map(|((topic, seen, source), clock)| {
             let usual = if seen.kind == PacketKind::Velodyne { "velodyne" } else { OUSTER_FRAME };
             let frame = if seen.frame.is_empty() { usual.to_owned() } else { seen.frame.clone() };
-            (Arc::clone(topic), TopicOfPackets { source, frame, clock })
+            let is_one_to_one = match source {
+                PacketSource::Velodyne(_) => true,
+                PacketSource::OusterLidar(..) => false,
+                PacketSource::OusterImu => ouster_imu_serial(&seen.first.0).is_none(),
+            };
+            (Arc::clone(topic), TopicOfPackets { source, frame, clock, is_one_to_one })
         });
         (named.collect(), clocks)
     }
@@ -184,7 +200,7 @@ impl Recording for Unpacked {
             }
             if let Some(topic) = self.sources.get(&info.topic) {
                 info.type_name = type_name(&topic.source).into();
-                if matches!(topic.source, PacketSource::OusterLidar(..)) {
+                if !topic.is_one_to_one {
                     info.count = None;
                 }
             }

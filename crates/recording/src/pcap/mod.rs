@@ -1,27 +1,31 @@
 //! Captures of the packets that lidars send over the network (`.pcap`, `.pcapng`).
 //!
 //! Sensors are found by their packets: Velodyne's data packets, and Ouster's lidar and IMU packets. What a
-//! sensor cannot tell in its packets is read from files beside the capture with its name: `NAME.json`
-//! (metadata of an Ouster) and `NAME.yaml` (calibration of a Velodyne).
+//! sensor cannot tell in its packets is read from files beside the capture: metadata of an Ouster (`.json`), and
+//! `NAME.yaml` (calibration of a Velodyne).
 
 mod capture;
+mod descriptions;
 mod sensors;
 
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod tests_ouster;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use portolan_geometry::Time;
 use portolan_issue::{Issue, IssueKind, IssueLog};
-use portolan_lidar_packets::{Datagrams, Endpoint, SensorTime};
+use portolan_lidar_packets::{Datagrams, SensorTime};
 
 use crate::container::Source;
 use crate::packets::{PacketMessages, type_name};
 use crate::{MessageReader, RecordedMessage, Recording, RecordingError, TopicInfo};
 use capture::CaptureReader;
-use sensors::{CapturedSensor, Descriptions, Kind, Senders, Sensors};
+use descriptions::Descriptions;
+use sensors::{CapturedSensor, Kind, Senders, Sensors, Stream};
 
 pub(crate) use capture::sniff;
 
@@ -32,6 +36,8 @@ const LOOK: usize = 20_000;
 struct Capture {
     source: Source,
     sensors: Sensors,
+    /// Bytes of lidar packets that are known from metadata.
+    lengths: BTreeSet<usize>,
     first: Option<Time>,
     size: u64,
     issues: Vec<Issue>,
@@ -46,6 +52,8 @@ pub(crate) fn open(source: Source) -> Result<Box<dyn Recording>, RecordingError>
     let mut issues = IssueLog::default();
     let mut datagrams = Datagrams::default();
     let mut senders = Senders::default();
+    let descriptions = Descriptions::beside(source.file());
+    let lengths = descriptions.packet_lengths();
     let (mut first, mut now, mut udp_frames) = (None, Time::UNIX_EPOCH, 0_u64);
     for _ in 0..LOOK {
         let Some(frame) = reader.next_frame(&mut issues)? else { break };
@@ -53,10 +61,9 @@ pub(crate) fn open(source: Source) -> Result<Box<dyn Recording>, RecordingError>
         now = frame.time.unwrap_or(now);
         if let Some((endpoint, packet)) = datagrams.take(frame.link_type, frame.bytes, &mut issues) {
             udp_frames += 1;
-            senders.add(endpoint, &packet, now);
+            senders.add(endpoint, &packet, now, &lengths);
         }
     }
-    let descriptions = Descriptions::beside(source.file());
     // What was wrong will be counted again by every pass.
     let mut issues = IssueLog::default();
     let sensors = senders.sensors(&descriptions, &mut issues);
@@ -66,7 +73,7 @@ pub(crate) fn open(source: Source) -> Result<Box<dyn Recording>, RecordingError>
              of a Velodyne (VLP-16, VLP-32C, HDL-32E, HDL-64E) or an Ouster; record the data port of the lidar"
         )));
     }
-    Ok(Box::new(Capture { source, sensors, first, size, issues: issues.list() }))
+    Ok(Box::new(Capture { source, sensors, lengths, first, size, issues: issues.list() }))
 }
 
 impl Recording for Capture {
@@ -103,15 +110,16 @@ impl Recording for Capture {
         };
         let is_chosen = |sensor: &CapturedSensor| chosen.contains(&sensor.topic);
         let sensors = || self.sensors.by_sender.iter().filter(|(_, sensor)| is_chosen(sensor));
-        let decoder = |(endpoint, sensor): (&Endpoint, &CapturedSensor)| {
+        let decoder = |(stream, sensor): (&Stream, &CapturedSensor)| {
             let decoder = PacketMessages::new(&sensor.source, &sensor.frame);
-            (*endpoint, ChosenSensor { topic: sensor.topic.clone(), clock: sensor.clock, decoder })
+            (*stream, ChosenSensor { topic: sensor.topic.clone(), clock: sensor.clock, decoder })
         };
         let mut issues = IssueLog::default();
         issues.merge(&self.issues);
         Ok(Box::new(CapturePass {
             reader,
             datagrams: Datagrams::default(),
+            lengths: self.lengths.clone(),
             known: self.sensors.by_sender.keys().copied().collect(),
             kinds: sensors().map(|(_, sensor)| sensor.kind).collect(),
             chosen: sensors().map(decoder).collect(),
@@ -136,9 +144,10 @@ struct CapturePass {
     reader: CaptureReader,
     datagrams: Datagrams,
     /// All sensors, and the kinds of those that are read.
-    known: BTreeSet<Endpoint>,
+    known: BTreeSet<Stream>,
     kinds: BTreeSet<Kind>,
-    chosen: BTreeMap<Endpoint, ChosenSensor>,
+    chosen: BTreeMap<Stream, ChosenSensor>,
+    lengths: BTreeSet<usize>,
     clocks: Vec<SensorTime>,
     ready: VecDeque<RecordedMessage>,
     /// Never goes back, so that messages come in order.
@@ -156,12 +165,16 @@ impl CapturePass {
         else {
             return Ok(true);
         };
-        if !self.known.contains(&endpoint)
-            && Kind::of(&payload).is_some_and(|kind| self.kinds.contains(&kind))
-        {
+        let stream = Stream::of(endpoint, &payload, &self.lengths);
+        let known = stream.filter(|stream| self.known.contains(stream));
+        if known.is_none() && stream.is_some_and(|stream| self.kinds.contains(&stream.kind)) {
             self.issues.add(IssueKind::RareSender);
+            return Ok(true);
         }
-        let Some(sensor) = self.chosen.get_mut(&endpoint) else { return Ok(true) };
+        // What looks like nothing is damaged, which the first decoder of its endpoint counts.
+        let first = || self.known.range(Stream::least(endpoint)..).next().filter(|s| s.endpoint == endpoint);
+        let sensor = known.or_else(|| first().copied()).and_then(|stream| self.chosen.get_mut(&stream));
+        let Some(sensor) = sensor else { return Ok(true) };
         let Some(clock) = self.clocks.get_mut(sensor.clock) else { return Ok(true) };
         self.now = self.now.max(time);
         let (log_time, ready, topic) = (self.now, &mut self.ready, &sensor.topic);

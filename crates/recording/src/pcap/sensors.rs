@@ -1,20 +1,18 @@
 //! The sensors of a capture, found by what they send.
 
-use std::collections::BTreeMap;
-use std::path::Path;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use portolan_geometry::Time;
 use portolan_issue::IssueLog;
 use portolan_lidar_packets::{
-    Endpoint, IMU_PACKET_BYTES, Laser, OusterMetadata, PacketLayout, PacketSource, PacketStream, SensorTime,
-    VelodyneModel, clocks_of, is_velodyne, parse_calibration,
+    Endpoint, PacketHeader, PacketLayout, PacketSource, PacketStream, SensorTime, VelodyneModel, clocks_of,
+    is_ouster_imu, is_velodyne, ouster_imu_serial,
 };
 
+use super::descriptions::{Descriptions, Seen};
 use crate::packets::OUSTER_FRAME;
 
-/// Longer files beside a capture are no descriptions of a sensor.
-const MAX_DESCRIPTION: u64 = 1 << 22;
 /// More senders than this are not distinguished.
 const MAX_ENDPOINTS: usize = 256;
 /// A sender with fewer packets than this part of those of the busiest of its kind is no sensor: its address
@@ -35,7 +33,7 @@ pub(super) struct CapturedSensor {
 /// All sensors of a capture.
 #[derive(Default)]
 pub(super) struct Sensors {
-    pub by_sender: BTreeMap<Endpoint, CapturedSensor>,
+    pub by_sender: BTreeMap<Stream, CapturedSensor>,
     pub clocks: Vec<SensorTime>,
     /// Their models, for people.
     pub models: String,
@@ -49,16 +47,40 @@ pub(super) enum Kind {
     OusterImu,
 }
 
-impl Kind {
-    /// None if a packet is of no sensor.
-    pub fn of(packet: &[u8]) -> Option<Self> {
-        match packet.len() {
-            _ if is_velodyne(packet) => Some(Self::Velodyne),
-            IMU_PACKET_BYTES => Some(Self::OusterImu),
-            bytes => PacketLayout::guess(bytes).map(|_| Self::OusterLidar),
-        }
+/// Packets of one kind of one sensor. Several sensors may send to the same port, even by way of the same address.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Stream {
+    pub endpoint: Endpoint,
+    pub kind: Kind,
+    /// The serial number; where packets of a lidar do not tell it their length.
+    which: u64,
+}
+
+impl Stream {
+    /// None if a packet is of no sensor. `lengths` are those of lidar packets that are known from metadata.
+    pub fn of(endpoint: Endpoint, packet: &[u8], lengths: &BTreeSet<usize>) -> Option<Self> {
+        let (kind, which) = if is_velodyne(packet) {
+            (Kind::Velodyne, 0)
+        } else if is_ouster_imu(packet) {
+            (Kind::OusterImu, ouster_imu_serial(packet).unwrap_or(0))
+        } else {
+            let serial = match PacketLayout::guess(packet) {
+                Some(layout) => layout.serial(packet),
+                None if lengths.contains(&packet.len()) => PacketHeader::of(packet).serial(packet),
+                None => return None,
+            };
+            (Kind::OusterLidar, serial.unwrap_or(packet.len() as u64))
+        };
+        Some(Self { endpoint, kind, which })
     }
 
+    /// Before all streams of an endpoint.
+    pub fn least(endpoint: Endpoint) -> Self {
+        Self { endpoint, kind: Kind::Velodyne, which: 0 }
+    }
+}
+
+impl Kind {
     /// Topic and frame of the first sensor of its kind.
     fn names(self) -> (&'static str, &'static str) {
         match self {
@@ -71,7 +93,6 @@ impl Kind {
 
 /// What was seen of a sender.
 struct Sender {
-    kind: Kind,
     packets: u64,
     largest_column: u16,
     /// Its first packet, and when that arrived.
@@ -81,95 +102,88 @@ struct Sender {
 /// Everything that sends packets of sensors.
 #[derive(Default)]
 pub(super) struct Senders {
-    seen: BTreeMap<Endpoint, Sender>,
+    seen: BTreeMap<Stream, Sender>,
 }
 
 impl Senders {
     /// Takes a datagram into account.
-    pub fn add(&mut self, endpoint: Endpoint, packet: &[u8], arrival: Time) {
-        let Some(kind) = Kind::of(packet) else { return };
-        if self.seen.len() >= MAX_ENDPOINTS && !self.seen.contains_key(&endpoint) {
+    pub fn add(&mut self, endpoint: Endpoint, packet: &[u8], arrival: Time, lengths: &BTreeSet<usize>) {
+        let Some(stream) = Stream::of(endpoint, packet, lengths) else { return };
+        if self.seen.len() >= MAX_ENDPOINTS && !self.seen.contains_key(&stream) {
             return;
         }
-        let first = || Sender { kind, packets: 0, largest_column: 0, first: (packet.to_vec(), arrival) };
-        let sender = self.seen.entry(endpoint).or_insert_with(first);
+        let first = || Sender { packets: 0, largest_column: 0, first: (packet.to_vec(), arrival) };
+        let sender = self.seen.entry(stream).or_insert_with(first);
         sender.packets += 1;
         sender.largest_column = sender.largest_column.max(PacketLayout::largest_column(packet));
     }
 
     /// Gives every sensor a topic: the first of a kind without a number.
     pub fn sensors(&self, descriptions: &Descriptions, issues: &mut IssueLog) -> Sensors {
-        let has_ouster = self.seen.values().any(|sender| sender.kind == Kind::OusterLidar);
-        let mut found: Vec<(&Endpoint, &Sender, PacketSource)> = Vec::new();
-        for (endpoint, sender) in self.seen.iter().filter(|(_, sender)| self.is_sensor(sender)) {
+        let is_lidar = |stream: &Stream| stream.kind == Kind::OusterLidar;
+        let has_ouster = self.seen.keys().any(is_lidar);
+        let sensors = || self.seen.iter().filter(|(stream, sender)| self.is_sensor(stream, sender));
+        let lidars: Vec<Seen<'_>> = sensors()
+            .filter(|(stream, _)| is_lidar(stream))
+            .map(|(stream, sender)| seen(stream, sender))
+            .collect();
+        let mut found: Vec<(&Stream, &Sender, PacketSource)> = Vec::new();
+        for (stream, sender) in sensors() {
             let (packet, _) = &sender.first;
-            let source = match sender.kind {
+            let source = match stream.kind {
                 Kind::Velodyne => Some(PacketSource::Velodyne(descriptions.calibration.clone())),
-                Kind::OusterImu => has_ouster.then_some(PacketSource::OusterImu),
+                // Packets with one sample have nothing that is theirs but the length.
+                Kind::OusterImu => {
+                    (has_ouster || ouster_imu_serial(packet).is_some()).then_some(PacketSource::OusterImu)
+                }
                 Kind::OusterLidar => {
-                    let metadata = descriptions.metadata.as_ref();
-                    PacketSource::ouster_lidar(metadata, packet.len(), sender.largest_column, issues)
+                    let metadata = descriptions.metadata_of(&seen(stream, sender), &lidars, issues);
+                    PacketSource::ouster_lidar(metadata, packet, sender.largest_column, issues)
                 }
             };
-            found.extend(source.map(|source| (endpoint, sender, source)));
+            found.extend(source.map(|source| (stream, sender, source)));
         }
         named(found)
     }
 
-    fn is_sensor(&self, sender: &Sender) -> bool {
-        let busiest = self.seen.values().filter(|other| other.kind == sender.kind).map(|s| s.packets).max();
+    fn is_sensor(&self, stream: &Stream, sender: &Sender) -> bool {
+        let of_kind = self.seen.iter().filter(|(other, _)| other.kind == stream.kind);
+        let busiest = of_kind.map(|(_, other)| other.packets).max();
         busiest.is_none_or(|busiest| sender.packets.saturating_mul(HARDLY_ANY) >= busiest)
     }
 }
 
-fn named(found: Vec<(&Endpoint, &Sender, PacketSource)>) -> Sensors {
+fn seen<'a>(stream: &Stream, sender: &'a Sender) -> Seen<'a> {
+    Seen { packet: &sender.first.0, port: stream.endpoint.port, largest_column: sender.largest_column }
+}
+
+fn named(found: Vec<(&Stream, &Sender, PacketSource)>) -> Sensors {
     let streams: Vec<_> = found
         .iter()
-        .map(|(endpoint, sender, source)| PacketStream::new(endpoint.source, source, &sender.first))
+        .map(|(stream, sender, source)| PacketStream::new(stream.endpoint.source, source, &sender.first))
         .collect();
     let (numbers, clocks) = clocks_of(&streams);
-    let mut models: Vec<&str> = found.iter().filter_map(|(_, sender, _)| model(sender)).collect();
+    let mut models: Vec<&str> =
+        found.iter().filter_map(|(stream, sender, _)| model(stream, sender)).collect();
     models.sort_unstable();
     models.dedup();
     let models = models.join(", ");
     let mut counts: BTreeMap<Kind, usize> = BTreeMap::new();
-    let sensors = found.into_iter().zip(numbers).map(|((endpoint, sender, source), clock)| {
-        let number = counts.entry(sender.kind).and_modify(|n| *n += 1).or_insert(1);
+    let sensors = found.into_iter().zip(numbers).map(|((stream, _, source), clock)| {
+        let number = counts.entry(stream.kind).and_modify(|n| *n += 1).or_insert(1);
         let name = |stem: &str| if *number == 1 { stem.to_owned() } else { format!("{stem}_{number}") };
-        let (topic, frame) = sender.kind.names();
+        let (topic, frame) = stream.kind.names();
         let (topic, frame) = (name(topic).into(), name(frame));
-        (*endpoint, CapturedSensor { topic, frame, kind: sender.kind, source, clock })
+        (*stream, CapturedSensor { topic, frame, kind: stream.kind, source, clock })
     });
     Sensors { by_sender: sensors.collect(), clocks, models }
 }
 
-fn model(sender: &Sender) -> Option<&'static str> {
-    match sender.kind {
-        Kind::Velodyne => Some(VelodyneModel::of(&sender.first.0).0.name()),
+fn model(stream: &Stream, sender: &Sender) -> Option<&'static str> {
+    let packet = &sender.first.0;
+    match stream.kind {
+        Kind::Velodyne => Some(VelodyneModel::of(packet).0.name()),
         Kind::OusterLidar => Some("Ouster"),
-        Kind::OusterImu => None,
-    }
-}
-
-/// What lies beside a capture.
-#[derive(Default)]
-pub(super) struct Descriptions {
-    metadata: Option<OusterMetadata>,
-    calibration: Option<Vec<Laser>>,
-}
-
-impl Descriptions {
-    /// What lies there under the capture's name.
-    pub fn beside(capture: Option<&Path>) -> Self {
-        let Some(capture) = capture else { return Self::default() };
-        let text = |ending: &str| {
-            let path = capture.with_extension(ending);
-            let is_short = std::fs::metadata(&path).is_ok_and(|m| m.is_file() && m.len() <= MAX_DESCRIPTION);
-            is_short.then(|| std::fs::read_to_string(&path).ok()).flatten()
-        };
-        Self {
-            metadata: text("json").and_then(|text| OusterMetadata::parse(&text)),
-            calibration: text("yaml").or_else(|| text("yml")).and_then(|text| parse_calibration(&text)),
-        }
+        Kind::OusterImu => ouster_imu_serial(packet).map(|_| "Ouster"),
     }
 }

@@ -19,7 +19,7 @@ fn packet(azimuth: u16) -> Vec<u8> {
 }
 
 /// Ethernet frames of a datagram, in pieces of at most `piece` bytes (a multiple of 8).
-fn frames(payload: &[u8], number: u16, piece: usize) -> Vec<Vec<u8>> {
+pub(super) fn frames(payload: &[u8], number: u16, piece: usize) -> Vec<Vec<u8>> {
     let mut udp = vec![0x09, 0x40, 0x09, 0x40];
     udp.extend_from_slice(&((payload.len() + 8) as u16).to_be_bytes());
     udp.extend_from_slice(&[0, 0]);
@@ -44,7 +44,7 @@ fn all_frames(piece: usize) -> Vec<Vec<u8>> {
     (0..90_u16).flat_map(|i| frames(&packet((i * 480) % 36_000), i, piece)).collect()
 }
 
-fn classic(frames: &[Vec<u8>], is_big: bool, is_nano: bool) -> Vec<u8> {
+pub(super) fn classic(frames: &[Vec<u8>], is_big: bool, is_nano: bool) -> Vec<u8> {
     let word = |v: u32| if is_big { v.to_be_bytes() } else { v.to_le_bytes() };
     let mut bytes = word(if is_nano { 0xa1b2_3c4d } else { 0xa1b2_c3d4 }).to_vec();
     for v in [0x0004_0002, 0, 0, 65_535, 1] {
