@@ -3,7 +3,7 @@
 use portolan_geometry::{Point3f, Vector2f};
 use portolan_sensor::RangeData;
 
-use super::joined_surfaces::between_neighbours;
+use super::joined_surfaces::joined_points;
 use super::value::{UpdateTable, odds};
 use super::{CellIndex, GridError, InserterOptionError, ProbabilityGrid, for_each_cell_on_ray};
 
@@ -89,8 +89,7 @@ impl ProbabilityInserter {
         grid: &mut ProbabilityGrid,
     ) -> Result<InsertReport, GridError> {
         let free = self.insert_free_space.then_some(|_| &self.miss_table);
-        let step = grid.limits().resolution() as f32;
-        let joined = if self.join_surfaces { between_neighbours(range_data, step) } else { Vec::new() };
+        let joined = joined_points(self.join_surfaces, range_data, grid);
         draw((range_data, &joined), grid, self.max_cells, |_| &self.hit_table, free)
     }
 }
@@ -99,7 +98,7 @@ impl ProbabilityInserter {
 pub(super) type Offset = [i64; 2];
 
 /// Draws one scan, as [`ProbabilityInserter::insert`] says. `hit` and `free` say how a cell so far from the origin changes;
-/// without `free` rays clear nothing. What lies `between` returns is hit without a ray to it.
+/// without `free` rays clear nothing. Points of surfaces `between` neighbouring returns are hit, and there is no ray to them.
 pub(super) fn draw<'a>(
     (range_data, between): (&RangeData, &[Vector2f]),
     grid: &mut ProbabilityGrid,

@@ -9,7 +9,7 @@ use std::f32::consts::TAU;
 use portolan_sensor::RangeData;
 
 use super::insert_probability::{Offset, draw};
-use super::joined_surfaces::between_neighbours;
+use super::joined_surfaces::joined_points;
 use super::value::{UpdateTable, odds};
 use super::{GridError, InsertReport, InserterOptionError, ProbabilityGrid, ProbabilityInserterOptions};
 
@@ -72,12 +72,7 @@ impl SectorInserter {
             begins.iter().take_while(|begin| squared_distance >= **begin).count()
         };
         let free = self.insert_free_space.then_some(|offset| &self.misses[level(offset)]);
-        let step = grid.limits().resolution() as f32;
-        let joined = if self.join_surfaces && std::env::var_os("JOINR").is_some() {
-            between_neighbours(range_data, step)
-        } else {
-            Vec::new()
-        };
+        let joined = joined_points(self.join_surfaces, range_data, grid);
         draw((range_data, &joined), grid, self.max_cells, |offset| &self.hits[level(offset)], free)
     }
 }

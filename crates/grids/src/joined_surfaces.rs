@@ -7,6 +7,7 @@
 use portolan_geometry::{Point3f, Vector2f};
 use portolan_sensor::RangeData;
 
+use super::ProbabilityGrid;
 use super::insert_sectors::beam_spacing;
 
 /// Beams so many spacings apart are neighbours: none is missing between them.
@@ -14,8 +15,14 @@ const NEIGHBOURS: f32 = 1.5;
 /// What is farther apart is not joined, metres: a door fits in between.
 const FARTHEST: f32 = 2.0;
 
+/// What is hit besides the returns of a scan in the frame of a grid, if surfaces are joined.
+pub(crate) fn joined_points(join_surfaces: bool, scan: &RangeData, grid: &ProbabilityGrid) -> Vec<Vector2f> {
+    let cell = grid.limits().resolution() as f32;
+    if join_surfaces { between_neighbours(scan, cell) } else { Vec::new() }
+}
+
 /// Points between neighbouring returns of one surface, `step` metres apart at most, in the frame of the scan, metres.
-pub(crate) fn between_neighbours(scan: &RangeData, step: f32) -> Vec<Vector2f> {
+fn between_neighbours(scan: &RangeData, step: f32) -> Vec<Vector2f> {
     let spacing = beam_spacing(scan);
     let beams = in_order(scan);
     let mut points = Vec::new();
