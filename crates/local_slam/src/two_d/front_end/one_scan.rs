@@ -130,7 +130,7 @@ impl FrontEnd {
         if !self.extras.adaptive_search {
             return filtered(returns, options);
         }
-        filtered(&voxel_filter(returns, self.options.submaps.grid_options_2d.resolution as f32), options)
+        filtered(&voxel_filter(returns, self.options.submaps.grid_options_2d.resolution), options)
     }
 
     /// The pose of the scan in the local map.
