@@ -13,7 +13,7 @@ use super::insert_sectors::beam_spacing;
 /// Beams so many spacings apart are neighbours: none is missing between them.
 const NEIGHBOURS: f32 = 1.5;
 /// What is farther apart is not joined, metres: a door fits in between.
-const FARTHEST: f32 = 2.0;
+const FARTHEST: f32 = 0.8;
 
 /// What is hit besides the returns of a scan in the frame of a grid, if surfaces are joined.
 pub(crate) fn joined_points(join_surfaces: bool, scan: &RangeData, grid: &ProbabilityGrid) -> Vec<Vector2f> {
@@ -100,8 +100,8 @@ mod tests {
         let points = between_neighbours(&scan(wall(20.0)), 0.1);
         assert!(points.len() > 300, "{}", points.len());
         assert!(points.iter().all(|point| (point.y - 20.0).abs() < 1e-3));
-        // The widest gaps that are joined are 2 m, where the wall is met at a grazing angle.
-        assert!(points.iter().all(|point| point.x.abs() < 44.0));
+        // The widest gaps that are joined are 0.8 m, where the wall is met at a grazing angle.
+        assert!(points.iter().all(|point| point.x.abs() < 23.5));
         assert!(between_neighbours(&scan(wall(1.0)), 0.1).iter().all(|point| point.x.abs() > 1.5));
     }
 

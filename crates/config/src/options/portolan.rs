@@ -53,7 +53,7 @@ options! {
         /// scan where it is then, its beams as sectors, so that far ones do not wipe out walls that were seen from
         /// nearby. Otherwise submaps stay as local SLAM drew them, as in Cartographer.
         redraw_submaps: bool = false, "", Bounds::ANY;
-        /// In 2D: neighbouring returns that lie on one line with the one before or after them hit one surface, up to 2 m apart, and
+        /// In 2D: neighbouring returns that lie on one line with the one before or after them hit one surface, up to 0.8 m apart, and
         /// what lies between them is drawn, too. Otherwise far walls are rows of dots, as in Cartographer, and scans taken
         /// elsewhere fall between the dots. Turn it off where fences and rows of posts are taken for walls.
         join_surfaces: bool = false, "", Bounds::ANY;
