@@ -3,7 +3,7 @@
 use portolan_geometry::{Point3f, Vector2f};
 use portolan_sensor::RangeData;
 
-use super::joined_surfaces::joined_points;
+use super::joined_surfaces::between_neighbours;
 use super::value::{UpdateTable, odds};
 use super::{CellIndex, GridError, InserterOptionError, ProbabilityGrid, for_each_cell_on_ray};
 
@@ -89,7 +89,8 @@ impl ProbabilityInserter {
         grid: &mut ProbabilityGrid,
     ) -> Result<InsertReport, GridError> {
         let free = self.insert_free_space.then_some(|_| &self.miss_table);
-        let joined = joined_points(self.join_surfaces, range_data, grid);
+        let cell = grid.limits().resolution() as f32;
+        let joined = if self.join_surfaces { between_neighbours(range_data, cell) } else { Vec::new() };
         draw((range_data, &joined), grid, self.max_cells, |_| &self.hit_table, free)
     }
 }

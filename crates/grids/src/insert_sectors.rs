@@ -9,7 +9,6 @@ use std::f32::consts::TAU;
 use portolan_sensor::RangeData;
 
 use super::insert_probability::{Offset, draw};
-use super::joined_surfaces::joined_points;
 use super::value::{UpdateTable, odds};
 use super::{GridError, InsertReport, InserterOptionError, ProbabilityGrid, ProbabilityInserterOptions};
 
@@ -25,7 +24,6 @@ pub struct SectorInserter {
     misses: Vec<UpdateTable>,
     insert_free_space: bool,
     max_cells: usize,
-    join_surfaces: bool,
 }
 
 impl SectorInserter {
@@ -48,7 +46,6 @@ impl SectorInserter {
             misses: tables(miss),
             insert_free_space: options.insert_free_space,
             max_cells: options.max_cells,
-            join_surfaces: options.join_surfaces,
         })
     }
 
@@ -72,8 +69,7 @@ impl SectorInserter {
             begins.iter().take_while(|begin| squared_distance >= **begin).count()
         };
         let free = self.insert_free_space.then_some(|offset| &self.misses[level(offset)]);
-        let joined = joined_points(self.join_surfaces, range_data, grid);
-        draw((range_data, &joined), grid, self.max_cells, |offset| &self.hits[level(offset)], free)
+        draw((range_data, &[]), grid, self.max_cells, |offset| &self.hits[level(offset)], free)
     }
 }
 

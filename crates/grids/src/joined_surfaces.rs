@@ -3,11 +3,13 @@
 //! Far away neighbouring beams are many cells apart, and what they hit is drawn as dots. A scan taken half a metre on
 //! hits the same wall between the dots, where the grid knows nothing. Where neighbours lie on one line with the beam
 //! before or after them they hit one surface, and what is between them is a part of it.
+//!
+//! Submaps that are drawn again at the end do without: what is drawn sharp everywhere lets a robot be localised in another
+//! building (docs/experiments/2026-11-far-walls-2d.md).
 
 use portolan_geometry::{Point3f, Vector2f};
 use portolan_sensor::RangeData;
 
-use super::ProbabilityGrid;
 use super::insert_sectors::beam_spacing;
 
 /// Beams so many spacings apart are neighbours: none is missing between them.
@@ -15,14 +17,8 @@ const NEIGHBOURS: f32 = 1.5;
 /// What is farther apart is not joined, metres: a door fits in between.
 const FARTHEST: f32 = 0.8;
 
-/// What is hit besides the returns of a scan in the frame of a grid, if surfaces are joined.
-pub(crate) fn joined_points(join_surfaces: bool, scan: &RangeData, grid: &ProbabilityGrid) -> Vec<Vector2f> {
-    let cell = grid.limits().resolution() as f32;
-    if join_surfaces { between_neighbours(scan, cell) } else { Vec::new() }
-}
-
 /// Points between neighbouring returns of one surface, `step` metres apart at most, in the frame of the scan, metres.
-fn between_neighbours(scan: &RangeData, step: f32) -> Vec<Vector2f> {
+pub(crate) fn between_neighbours(scan: &RangeData, step: f32) -> Vec<Vector2f> {
     let spacing = beam_spacing(scan);
     let beams = in_order(scan);
     let mut points = Vec::new();
