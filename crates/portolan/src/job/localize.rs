@@ -145,7 +145,10 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
     let sensors: BTreeSet<SensorId> = ingestion.sensors().into_iter().collect();
     let settings =
         LocalizerSettings { start, threads: request.threads, keeps_track: request.save_map.is_some() };
-    let mut localizer = Localizer::new(map, &preparation.options, &sensors, &settings)?;
+    // The map knows the far walls; the local track draws what its beams hit.
+    let mut options = preparation.options.clone();
+    options.portolan.join_surfaces = false;
+    let mut localizer = Localizer::new(map, &options, &sensors, &settings)?;
     let mut estimates: Spool<Estimate> = Spool::in_folder(existing(&request.folder));
     let mut silences = Silences::default();
     let mut interrupted = false;
