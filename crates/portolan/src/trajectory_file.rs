@@ -263,10 +263,7 @@ fn nodes_of_pieces(
     if pieces.len() < 2 || !follow {
         return nodes(path, pose_graph, first);
     }
-    notes.push(format!(
-        "its {} trajectories follow one another and are taken together (--trajectory takes one)",
-        pieces.len()
-    ));
+    notes.push(format!("its {} trajectories follow one another and are taken together", pieces.len()));
     Ok(pieces.concat())
 }
 

@@ -55,7 +55,8 @@ options! {
         redraw_submaps: bool = false, "", Bounds::ANY;
         /// In 2D: neighbouring returns that lie on one line with the one before or after them hit one surface, up to 0.8 m apart, and
         /// what lies between them is drawn, too. Otherwise far walls are rows of dots, as in Cartographer, and scans taken
-        /// elsewhere fall between the dots. Turn it off where fences and rows of posts are taken for walls.
+        /// elsewhere fall between the dots. Turn it off where fences and rows of posts are taken for walls. `localize` does
+        /// without.
         join_surfaces: bool = false, "", Bounds::ANY;
         /// Keep of each place the submap that saw it first and so many of the newest, and drop the others with their nodes, so
         /// that memory and time follow the area that is mapped and not how long it takes. 0 keeps everything.
