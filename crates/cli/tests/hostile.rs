@@ -204,6 +204,14 @@ fn points_at_one_place_are_judged_in_bounded_time() {
 /// the machine is). Measured: up to 0.3, half of it to write the map.
 const PROMPT: f64 = 0.8;
 
+/// Whether a program has a handler of SIGINT by now: until then, it has done nothing, and the signal just ends it.
+fn handles_interruptions(child: &Child) -> bool {
+    const SIGINT: u64 = 1 << 1;
+    let status = std::fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap_or_default();
+    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+    caught.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & SIGINT != 0)
+}
+
 /// Sends SIGINT when `is_time`, and gives the processor time until the end; none if it ended before.
 fn interrupted(arguments: &[&str], is_time: impl Fn(Duration) -> bool) -> Option<f64> {
     let mut child = spawn(arguments);
@@ -215,7 +223,7 @@ fn interrupted(arguments: &[&str], is_time: impl Fn(Duration) -> bool) -> Option
         if has_ended {
             break;
         }
-        if told.is_none() && is_time(start.elapsed()) {
+        if told.is_none() && is_time(start.elapsed()) && handles_interruptions(&child) {
             Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
             told = Some(seconds);
         }
