@@ -3,6 +3,7 @@
 
     plain         /scan, /odom, and where the laser is in /tf_static
     two-scanners  the left and the right half of every scan from a scanner of its own, each turned by 45 degrees
+    in-turns      the same with three quarters of the view each, every other scan from the one and the rest from the other
     transforms    odometry in /tf alone
     cloud, cloud1 scans as sensor_msgs/PointCloud2, or as sensor_msgs/PointCloud
     descending    beams in descending order of their angles
@@ -119,6 +120,7 @@ class Robot:
 
     def __init__(self, writer, how, topics="", frames=""):
         self.writer, self.how, self.topics, self.frames, self.connections = writer, how, topics, frames, {}
+        self.scans = 0
 
     def put(self, topic, seconds, message):
         kind = message.__msgtype__
@@ -134,7 +136,7 @@ class Robot:
         x, y, yaw = mounted
         base, laser = self.frames + "base_link", self.frames + "laser"
         places = [transform(seconds, base, laser, mounted, self.how == "upside-down")]
-        if self.how == "two-scanners":
+        if self.how in ("two-scanners", "in-turns"):
             sides = (("left", 1), ("right", -1))
             places = [transform(seconds, base, f"laser_{side}", (x, y, yaw + sign * math.pi / 4)) for side, sign in sides]
         if world:
@@ -158,6 +160,14 @@ class Robot:
             self.put("/scan_right", seconds, laser_scan(seconds, "laser_right", first + math.pi / 4, increment, ranges[:half]))
             middle = first + increment * half
             self.put("/scan_left", seconds, laser_scan(seconds, "laser_left", middle - math.pi / 4, increment, ranges[half:]))
+        elif self.how == "in-turns":
+            self.scans += 1
+            quarter, turn = len(ranges) // 4, math.pi / 4
+            if self.scans % 2:
+                self.put("/scan_right", seconds, laser_scan(seconds, "laser_right", first + turn, increment, ranges[:-quarter]))
+            else:
+                first += increment * quarter - turn
+                self.put("/scan_left", seconds, laser_scan(seconds, "laser_left", first, increment, ranges[quarter:]))
         elif self.how in ("cloud", "cloud1"):
             message = {"cloud": cloud, "cloud1": cloud1}[self.how]
             self.put("/points", seconds, message(seconds, laser, points(first, increment, ranges)))

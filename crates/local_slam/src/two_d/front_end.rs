@@ -25,7 +25,7 @@ use super::start::{NEAR, Role, Velocity};
 use super::tracking::Tracker;
 use crate::{
     ActiveSubmaps, InsertionSubmap, LocalSlamError, MOST_GATHERED_POINTS, MatchingResult, Planar,
-    UsualAgreement, count_extrapolated, first_point_time, motion_filter, take_odometry,
+    count_extrapolated, first_point_time, motion_filter, take_odometry,
 };
 
 /// An odometry source that reported nothing for so long is not waited for.
@@ -46,7 +46,6 @@ pub(super) struct FrontEnd {
     tracker: Tracker,
     belief: Belief,
     /// How scans agree with the map where they were found.
-    usual_agreement: UsualAgreement,
     co_moving: CoMoving,
     /// The last pose that was sure, in the local map.
     last_sure: Rigid2,
@@ -91,7 +90,6 @@ impl FrontEnd {
             level: LevelFilter::default(),
             extras,
             belief: Belief::default(),
-            usual_agreement: UsualAgreement::default(),
             co_moving: CoMoving::default(),
             last_sure: Rigid2::identity(),
             reckoned: DeadReckoning::from(Rigid2::identity()),

@@ -22,8 +22,8 @@ use super::odometry_scale::OdometryScale;
 use super::posterior::{BeamEvidence, MotionPrior};
 use super::prediction_error::{PredictionError, PredictionSigmas, UsualScore};
 use super::scan::{Scan, with_share};
-use crate::OdometryBridge;
 use crate::remembered_scans::RememberedScans;
+use crate::{OdometryBridge, UsualAgreement};
 
 /// Scans are searched within so many standard deviations of their prediction.
 const WITHIN_SIGMAS: f64 = 3.5;
@@ -64,6 +64,7 @@ pub(super) struct Tracker {
     odometry_failure: OdometryFailure,
     catching_up: CatchingUp,
     usual_score: UsualScore,
+    usual_agreement: UsualAgreement,
     beam_evidence: BeamEvidence,
     /// Mean seconds from scan to scan, but for gaps.
     interval: Option<f64>,
@@ -91,6 +92,7 @@ impl Tracker {
             odometry_failure: OdometryFailure::default(),
             catching_up: CatchingUp::default(),
             usual_score: UsualScore::default(),
+            usual_agreement: UsualAgreement::default(),
             beam_evidence: BeamEvidence::default(),
             interval: None,
             looked: None,
@@ -123,6 +125,16 @@ impl Tracker {
     /// Takes note of the scan that is to be found next.
     pub fn note(&mut self, time: Time, prediction: &Rigid2, clouds: [&PointCloud; 2]) {
         self.remembered.note(time, &embed_3d(prediction), clouds);
+    }
+
+    /// Takes note of how the map agreed with a scan that was believed.
+    pub fn note_agreement(&mut self, agreement: &ScanAgreement) {
+        self.usual_agreement.add(agreement);
+    }
+
+    /// Whether a scan agrees with the map rather as scans do at wrong places than as those of this recording do at theirs.
+    pub fn looks_wrong(&self, agreement: &ScanAgreement) -> bool {
+        self.usual_agreement.looks_wrong(agreement)
     }
 
     /// Whether scans are searched as far as predictions were wrong lately.

@@ -60,7 +60,7 @@ impl FrontEnd {
             self.count(IssueKind::ScanContradictsMap, time);
             None
         } else {
-            found.agreement.iter().for_each(|agreement| self.usual_agreement.add(agreement));
+            found.agreement.iter().for_each(|agreement| self.tracker.note_agreement(agreement));
             (self.last_sure, self.reckoned) = (pose, DeadReckoning::from(project_2d(&local_from_tracking)));
             // On trial all motions draw as much.
             let is_drawn = self.role.is_trial() || !self.motion_filter.is_similar(time, &local_from_tracking);
@@ -189,7 +189,7 @@ impl FrontEnd {
         let fit = found.agreement.map(|agreement| Fit {
             agreement,
             is_measured: motion.is_some_and(|motion| motion.is_measured()),
-            looks_wrong: self.usual_agreement.looks_wrong(&agreement),
+            looks_wrong: self.tracker.looks_wrong(&agreement),
         });
         let is_refuted = found.is_far && fit.is_some_and(|fit| fit.is_measured && fit.looks_wrong);
         let pose = if found.pose.is_finite() && !is_refuted { found.pose } else { *prediction };

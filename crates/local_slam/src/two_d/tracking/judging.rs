@@ -26,8 +26,10 @@ impl Tracker {
         let found = near.found;
         let agreement = scan_agreement(&scan.submap.grid, &found.pose, scan.cloud);
         let is_low = found.score.is_some_and(|score| self.usual_score.is_low(score));
-        let is_refuted = agreement.as_ref().is_some_and(refutes_place);
-        let is_sought = self.limit.is_none() && (is_low || is_refuted || near.is_at_edge(window));
+        let is_wrong = agreement
+            .as_ref()
+            .is_some_and(|a| refutes_place(a) || !motion.is_measured() && self.looks_wrong(a));
+        let is_sought = self.limit.is_none() && (is_low || is_wrong || near.is_at_edge(window));
         if let (true, true, Some(went_on)) = (is_sought, motion.is_unknown(), near.otherwise) {
             return self.judged_unknown(near, went_on, motion, (scan, cloud));
         }
