@@ -91,16 +91,18 @@ pub struct DegenerateInterval {
 
 /// One scan that left a direction unconstrained.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct DegenerateScan {
+pub struct DegenerateScan {
+    /// When it was taken.
     pub time: Time,
     /// Since the scan before.
     pub seconds: f64,
+    /// What was taken for what it left open.
     pub taken: Substitute,
 }
 
 /// Joins degenerate scans to intervals.
 #[derive(Clone, Debug)]
-pub(crate) struct DegenerateIntervals {
+pub struct DegenerateIntervals {
     /// Slower, m/s, it may as well stand: the direction of motion is not known anew.
     resting_speed: f64,
     /// Velocities are averaged over about this long, seconds, as accelerations are; scans farther apart than this belong to
@@ -113,8 +115,15 @@ pub(crate) struct DegenerateIntervals {
     velocity: Vector3,
 }
 
+impl Default for DegenerateIntervals {
+    fn default() -> Self {
+        Self::new(&OdometrySettings::default())
+    }
+}
+
 impl DegenerateIntervals {
-    pub fn new(settings: &OdometrySettings) -> Self {
+    /// None so far.
+    pub(crate) fn new(settings: &OdometrySettings) -> Self {
         Self {
             resting_speed: settings.standstill.resting_speed,
             averaged_over: settings.initialisation.leveling_time,

@@ -44,7 +44,9 @@ mod voxel_tree;
 mod wide_search;
 mod witness;
 
-pub use degenerate_intervals::{DegenerateInterval, DegenerateMotion, Substitute};
+pub use degenerate_intervals::{
+    DegenerateInterval, DegenerateIntervals, DegenerateMotion, DegenerateScan, Substitute,
+};
 pub use deskew::PiecewiseLinearTrajectory;
 pub use gravity_initialisation::{Beginning, GravityInitialisation, WaitingSweeps};
 pub use gyroscope::SaturationDetector;

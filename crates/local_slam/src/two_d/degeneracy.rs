@@ -9,6 +9,8 @@ use portolan_grids::{Grid2d, score_difference};
 use portolan_matching::surface_tangents;
 use portolan_sensor::PointCloud;
 
+use super::scan::Scan;
+
 /// Where the weakest direction has less than this fraction of all information, the prediction is weighed there.
 const WEAK: f64 = 0.2;
 /// With fewer normals nothing is known.
@@ -49,6 +51,16 @@ impl WeakDirection {
         let in_scan = Vector2::new(angle.cos(), angle.sin());
         let facing = |tangent: &Option<Vector2>| tangent.map_or(1.0, |t| t.perp(&in_scan).abs() as f32);
         Some(Self { facing: tangents.iter().map(facing).collect(), in_scan })
+    }
+
+    /// Whether a scan tells that it was not taken this far from where it was found along this direction, metres.
+    pub fn is_told(&self, scan: &Scan, found: &Rigid2, metres: f64) -> bool {
+        scan.tells(found, Rigid2 { translation: self.in_scan * metres, angle: 0.0 }, &self.facing)
+    }
+
+    /// Unit vector in the frame of the scan.
+    pub fn in_scan(&self) -> Vector2 {
+        self.in_scan
     }
 
     /// Fraction of the motion from `predicted` to `found` along this direction to believe: σ² / (σ² + σₘ²), where σ is the

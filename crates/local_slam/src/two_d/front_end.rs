@@ -10,6 +10,7 @@ use std::sync::Arc;
 use portolan_config::TrajectoryBuilder2dOptions;
 use portolan_geometry::{Duration, Rigid2, Rigid3, Time};
 use portolan_issue::{Issue, IssueKind, IssueLog};
+use portolan_lidar_odometry::{DegenerateInterval, DegenerateIntervals};
 use portolan_motion::{MotionFilter, PoseExtrapolator};
 use portolan_recall::Memory;
 use portolan_sensor::{ImuData, OdometryData, SynchronizedRanges};
@@ -45,7 +46,6 @@ pub(super) struct FrontEnd {
     extras: LocalSlamExtras,
     tracker: Tracker,
     belief: Belief,
-    /// How scans agree with the map where they were found.
     co_moving: CoMoving,
     /// The last pose that was sure, in the local map.
     last_sure: Rigid2,
@@ -64,6 +64,9 @@ pub(super) struct FrontEnd {
     start_velocity: Velocity,
     /// A piece of map was begun that nothing measured ties to the one before.
     has_begun_anew: bool,
+    degenerate: DegenerateIntervals,
+    /// When scans or odometry last told how far the scanner went.
+    told: Option<Time>,
     /// What it does besides mapping.
     pub(super) role: Role,
     issues: IssueLog,
@@ -102,6 +105,8 @@ impl FrontEnd {
             waiting_ranges: VecDeque::new(),
             start_velocity,
             has_begun_anew: false,
+            degenerate: DegenerateIntervals::default(),
+            told: None,
             role,
             issues: IssueLog::default(),
             options: options.clone(),
@@ -217,6 +222,11 @@ impl FrontEnd {
     pub fn flush(&mut self) -> Vec<MatchingResult<Planar>> {
         self.last_odometry_time = None;
         self.match_waiting(Time::MAX)
+    }
+
+    /// Where scans left to the prediction how far it went, so far.
+    pub fn degenerate_intervals(&self) -> &[DegenerateInterval] {
+        self.degenerate.all()
     }
 
     /// Remembers where scans were found with this.

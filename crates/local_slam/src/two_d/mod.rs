@@ -23,6 +23,7 @@ mod witnesses;
 use portolan_config::TrajectoryBuilder2dOptions;
 use portolan_geometry::Time;
 use portolan_issue::{Issue, IssueKind, IssueLog};
+use portolan_lidar_odometry::DegenerateInterval;
 use portolan_recall::Memory;
 use portolan_sensor::{ImuData, OdometryData, RangeDataCollator, SensorId, TimedPointCloudData};
 use portolan_submaps::Submap2d;
@@ -159,6 +160,10 @@ impl LocalSlam<Planar> for LocalSlam2d {
 
     fn lost_since(&self) -> Option<Time> {
         self.front_end.lost_since()
+    }
+
+    fn degenerate_intervals(&self) -> Vec<DegenerateInterval> {
+        self.front_end.degenerate_intervals().to_vec()
     }
 
     fn issues(&self) -> IssueLog {

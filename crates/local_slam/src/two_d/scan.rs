@@ -8,6 +8,9 @@ use portolan_submaps::Submap2d;
 use super::posterior::MotionPrior;
 use super::witnesses::Witnesses;
 
+/// By so many standard errors the map has to fit better to tell two poses apart.
+const SIGNIFICANT: f64 = 2.0;
+
 /// What a search needs: the scan and where it is looked for.
 #[derive(Clone, Copy)]
 pub(super) struct Scan<'a> {
@@ -24,6 +27,15 @@ pub(super) struct Scan<'a> {
 impl<'a> Scan<'a> {
     pub fn new(cloud: &'a PointCloud, returns: &'a PointCloud, submap: &'a Submap2d) -> Self {
         Self { cloud, returns, submap, witnesses: Witnesses::of(returns) }
+    }
+
+    /// Whether the map says that the scan was taken neither this far to one side of where it was found nor to the other, with
+    /// weights for its returns. The offset is in the frame of the scan.
+    pub fn tells(&self, found: &Rigid2, offset: Rigid2, weights: &[f32]) -> bool {
+        [offset, offset.inverse()].iter().all(|offset| {
+            let poses = [found, &(*found * *offset)];
+            score_difference(&self.submap.grid, poses, self.returns, weights).is_none_or(|s| s > SIGNIFICANT)
+        })
     }
 
     /// Which share of the way from the prediction to where the scan was found to believe. Both measure the pose: the

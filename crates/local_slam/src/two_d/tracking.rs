@@ -4,7 +4,7 @@
 mod judging;
 
 use portolan_config::TrajectoryBuilder2dOptions;
-use portolan_geometry::{Rigid2, Time, embed_3d};
+use portolan_geometry::{Rigid2, Time, Vector2, embed_3d};
 use portolan_grids::{ScanAgreement, scan_agreement};
 use portolan_matching::MatcherOptionError;
 use portolan_recall::Memory;
@@ -38,6 +38,19 @@ const INTERVALS_REMEMBERED: f64 = 20.0;
 const ELSEWHERE: SearchWindow = SearchWindow { linear: 0.15, angular: 0.1 };
 /// Where scans tell this share of their poses they tell how far predictions are off, too.
 const MOSTLY: f64 = 0.67;
+/// What a scan does not tell to within this, metres and radians, it leaves to the prediction: odometry that is wrong by more
+/// is noticed.
+const TOLD_WITHIN: SearchWindow = SearchWindow { linear: 0.25, angular: 0.05 };
+
+/// What the prediction decided, since the scan tells little of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum LeftOpen {
+    Nothing,
+    /// How far it went in this direction, a unit vector in the frame of the scan.
+    Along(Vector2),
+    Everything,
+}
+
 /// Where a scan was found.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Found {
@@ -47,6 +60,7 @@ pub(super) struct Found {
     pub is_far: bool,
     /// The scan, or odometry, told where it is in the plane; nothing was taken for granted.
     pub tells_place: bool,
+    pub left_open: LeftOpen,
     /// How the map agrees with the scan there; none where the grid does not tell.
     pub agreement: Option<ScanAgreement>,
 }
@@ -234,7 +248,8 @@ impl Tracker {
             self.usual_score.add(score);
         }
         if !found.pose.is_finite() {
-            return Found { pose: prediction, is_far: false, tells_place: false, agreement: None };
+            let left_open = LeftOpen::Everything;
+            return Found { pose: prediction, is_far: false, tells_place: false, left_open, agreement: None };
         }
         // 3. Weigh it with the prediction.
         let is_open = weak.is_some() || scan.witnesses.are_few();
@@ -243,9 +258,9 @@ impl Tracker {
         }
         // Found far off, the prediction was judged to be none.
         let weighed = weak.as_ref().filter(|_| !is_far);
-        let pose = match judgement {
+        let (pose, left_open) = match judgement {
             // So few beams do not confirm a prediction that they were not believed against.
-            Judgement::Predicted if scan.witnesses.are_few() => found.pose,
+            Judgement::Predicted if scan.witnesses.are_few() => (found.pose, LeftOpen::Everything),
             _ => self.weigh(found.pose, near.around, motion, &scan, weighed, is_failing || is_far),
         };
         // 4. Learn how odometry and beams agree with it. Where scans leave a direction open, they do not say how far it went.
@@ -265,7 +280,7 @@ impl Tracker {
         if let Some(agreement) = &agreement {
             self.beam_evidence.add(agreement);
         }
-        Found { pose, is_far, tells_place: !is_open || motion.is_measured(), agreement }
+        Found { pose, is_far, tells_place: !is_open || motion.is_measured(), left_open, agreement }
     }
 
     /// Where the scan is if odometry, which tells this, rather fails than works.
@@ -318,7 +333,7 @@ impl Tracker {
     }
 
     /// Weighs the match with the prediction where the scan tells little, and learns from both how far predictions are
-    /// off where it tells enough.
+    /// off where it tells enough. The pose, and what the prediction decided of it.
     fn weigh(
         &mut self,
         found: Rigid2,
@@ -327,12 +342,12 @@ impl Tracker {
         scan: &Scan,
         weak: Option<&WeakDirection>,
         is_failing: bool,
-    ) -> Rigid2 {
+    ) -> (Rigid2, LeftOpen) {
         let predicted_motion = motion.to(&around);
         if scan.witnesses.are_next_to_none() && !is_failing {
             return self.weigh_few(found, around, motion, scan);
         }
-        let (mut pose, mut observed) = (found, found);
+        let (mut pose, mut observed, mut left_open) = (found, found, LeftOpen::Nothing);
         if let Some(weak) = weak {
             let learned = self.prediction_error.sigmas(&predicted_motion).translation;
             let is_told = motion.is_measured() || motion.between_readings.is_some();
@@ -341,20 +356,35 @@ impl Tracker {
                 weak.gain(&scan.submap.grid, scan.returns, (&around, &found), learned.hypot(unmeasured));
             pose = weak.with_share(&around, &found, gain);
             observed = weak.with_share(&around, &found, 0.0);
+            if !weak.is_told(scan, &pose, TOLD_WITHIN.linear) {
+                left_open = LeftOpen::Along(weak.in_scan());
+            }
         }
         if motion.seconds <= self.gap && !is_failing {
             self.prediction_error.add(&predicted_motion, &(around.inverse() * observed));
         }
-        pose
+        (pose, left_open)
     }
 
     /// Weighs a match of hardly any beams with the prediction. It tells how far predictions are off where most comes from it.
-    fn weigh_few(&mut self, found: Rigid2, around: Rigid2, motion: Motion, scan: &Scan) -> Rigid2 {
+    fn weigh_few(
+        &mut self,
+        found: Rigid2,
+        around: Rigid2,
+        motion: Motion,
+        scan: &Scan,
+    ) -> (Rigid2, LeftOpen) {
         let share = scan.match_share(&self.prior(around, motion), &found);
         if motion.seconds <= self.gap && share > MOSTLY {
             self.prediction_error.add(&motion.to(&around), &(around.inverse() * found));
         }
-        with_share(&around, &found, share)
+        let pose = with_share(&around, &found, share);
+        let SearchWindow { linear, angular } = TOLD_WITHIN;
+        let offsets =
+            [Rigid2::new(linear, 0.0, 0.0), Rigid2::new(0.0, linear, 0.0), Rigid2::new(0.0, 0.0, angular)];
+        let weights = vec![1.0; scan.returns.points.len()];
+        let is_told = offsets.iter().all(|offset| scan.tells(&pose, *offset, &weights));
+        (pose, if is_told { LeftOpen::Nothing } else { LeftOpen::Everything })
     }
 
     /// As far as predictions of such a motion were wrong lately; where nothing measured it, no farther than a scanner can

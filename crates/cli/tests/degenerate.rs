@@ -162,3 +162,44 @@ fn lidars_whose_sweeps_never_repeat_are_followed_without_an_imu() {
         assert_as_measured(&mapped_of(&scene, &settings), measured);
     }
 }
+
+#[test]
+fn along_a_bare_corridor_odometry_is_used_and_without_it_the_map_is_not_done() {
+    let (recording, _) = simulated_once(&["corridors", "--seconds", "60", "--seed", "5"]);
+    let folder = tempfile::tempdir().unwrap();
+    let report = |code: i32, name: &str, more: &[&str]| -> serde_json::Value {
+        let output = text(&folder.path().join(name));
+        let summary = portolan_with_code(
+            code,
+            &[&["map", &recording, "-o", &output, "-q", "--no-xray"], more].concat(),
+        )
+        .stdout;
+        assert!(summary.contains("do not constrain motion along the direction of travel"), "{summary}");
+        serde_json::from_str(&std::fs::read_to_string(format!("{output}/report.json")).unwrap()).unwrap()
+    };
+    let substitutes = |report: &serde_json::Value| -> Vec<String> {
+        let intervals = report["degenerate_intervals"].as_array().unwrap().clone();
+        intervals.iter().map(|i| i["substitute"].as_str().unwrap().to_owned()).collect()
+    };
+    let measured = report(0, "measured", &[]);
+    assert!((2.0..6.0).contains(&seconds(&measured, "along_travel")), "{measured}");
+    assert!(substitutes(&measured).iter().all(|taken| taken == "odometry"), "{measured}");
+    let guessed = report(3, "guessed", &["--no-odometry"]);
+    assert!(substitutes(&guessed).iter().all(|taken| taken == "constant_velocity"), "{guessed}");
+    let kinds: Vec<&str> =
+        guessed["issues"].as_array().unwrap().iter().map(|issue| issue["kind"].as_str().unwrap()).collect();
+    assert!(kinds.contains(&"travel_guessed"), "{guessed}");
+}
+
+#[test]
+fn a_room_leaves_nothing_open_with_odometry_or_without() {
+    let (recording, _) = simulated_once(&["office", "--seconds", "40", "--seed", "5"]);
+    let folder = tempfile::tempdir().unwrap();
+    for (name, more) in [("measured", &[][..]), ("seen", &["--no-odometry"])] {
+        let output = text(&folder.path().join(name));
+        portolan_with_code(0, &[&["map", &recording, "-o", &output, "-q", "--no-xray"], more].concat());
+        let report = std::fs::read_to_string(format!("{output}/report.json")).unwrap();
+        let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+        assert!(report["degenerate_intervals"].as_array().unwrap().is_empty(), "{report}");
+    }
+}
