@@ -60,6 +60,7 @@ pub(super) struct Found {
     pub is_far: bool,
     /// The scan, or odometry, told where it is in the plane; nothing was taken for granted.
     pub tells_place: bool,
+    /// What the prediction decided of the pose.
     pub left_open: LeftOpen,
     /// How the map agrees with the scan there; none where the grid does not tell.
     pub agreement: Option<ScanAgreement>,
