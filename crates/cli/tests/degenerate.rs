@@ -184,6 +184,8 @@ fn along_a_bare_corridor_odometry_is_used_and_without_it_the_map_is_not_done() {
     let measured = report(0, "measured", &[]);
     assert!((2.0..6.0).contains(&seconds(&measured, "along_travel")), "{measured}");
     assert!(substitutes(&measured).iter().all(|taken| taken == "odometry"), "{measured}");
+    let sigma = measured["degenerate_intervals"][0]["sigma_m"].as_f64().unwrap();
+    assert!((0.01..0.5).contains(&sigma), "{measured}");
     let guessed = report(3, "guessed", &["--no-odometry"]);
     assert!(substitutes(&guessed).iter().all(|taken| taken == "constant_velocity"), "{guessed}");
     let kinds: Vec<&str> =

@@ -27,6 +27,11 @@ impl DegenerateMotion {
     /// All of them, in the order in which they are reported.
     pub const ALL: [Self; 5] = [Self::Along, Self::Across, Self::Up, Self::Heading, Self::Tilt];
 
+    /// Whether it is a turn.
+    pub fn is_rotation(self) -> bool {
+        matches!(self, Self::Heading | Self::Tilt)
+    }
+
     /// In words, after "do not constrain".
     pub fn name(self) -> &'static str {
         match self {
@@ -85,6 +90,8 @@ pub struct DegenerateInterval {
     pub motion: DegenerateMotion,
     /// What was taken for it.
     pub taken: Substitute,
+    /// Standard deviation of the error that has gathered at the end, metres or radians; none where it is not known.
+    pub sigma: Option<f64>,
     /// The direction or axis in the tracking frame, unit length, of the first such scan.
     pub direction_in_tracking: Vector3,
 }
@@ -98,6 +105,8 @@ pub struct DegenerateScan {
     pub seconds: f64,
     /// What was taken for what it left open.
     pub taken: Substitute,
+    /// Standard deviation of that, metres or radians; none where it is not known.
+    pub sigma: Option<f64>,
 }
 
 /// Joins degenerate scans to intervals.
@@ -185,7 +194,7 @@ impl DegenerateIntervals {
     }
 
     fn add(&mut self, scan: &DegenerateScan, motion: DegenerateMotion, direction: &Vector3) {
-        let DegenerateScan { time, seconds, taken } = *scan;
+        let DegenerateScan { time, seconds, taken, sigma } = *scan;
         // More are counted with the last one, so that memory is bounded.
         let full = self.intervals.len() >= MAX_INTERVALS;
         let gap = Duration::from_seconds(self.averaged_over);
@@ -197,6 +206,7 @@ impl DegenerateIntervals {
                 interval.scans += 1;
                 interval.seconds += seconds;
                 interval.end = time.max(interval.end);
+                interval.sigma = interval.sigma.zip(sigma).map(|(gathered, sigma)| gathered.hypot(sigma));
             }
             None if full => {}
             None => {
@@ -208,6 +218,7 @@ impl DegenerateIntervals {
                     seconds,
                     motion,
                     taken,
+                    sigma,
                     direction_in_tracking,
                 });
             }
@@ -230,7 +241,7 @@ mod tests {
 
     fn scan(t: f64) -> DegenerateScan {
         let time = Time::from_ticks((t * 1e7) as i64);
-        DegenerateScan { time, seconds: 0.1, taken: Substitute::Odometry }
+        DegenerateScan { time, seconds: 0.1, taken: Substitute::Odometry, sigma: Some(0.02) }
     }
 
     #[test]
@@ -249,6 +260,8 @@ mod tests {
             [(DegenerateMotion::Along, 30), (DegenerateMotion::Tilt, 1), (DegenerateMotion::Along, 1)]
         );
         assert!((found.all()[0].seconds - 3.0).abs() < 1e-9);
+        // Thirty scans, each 0.02 m.
+        assert!((found.all()[0].sigma.unwrap() - 0.02 * 30f64.sqrt()).abs() < 1e-9);
         let most = MAX_INTERVALS;
         for i in 0..3 * most {
             found.add_rotations(&scan(100.0 + 10.0 * i as f64), &[Vector3::z()], &Vector3::z());

@@ -56,7 +56,7 @@ impl Tracker {
             rotations: seen(&found.degenerate.rotations),
         };
         let (by_translation, by_rotation) = self.substitutes(end, segment, was_standing);
-        let scan = |taken| DegenerateScan { time: end, seconds, taken };
+        let scan = |taken| DegenerateScan { time: end, seconds, taken, sigma: None };
         self.intervals.add_translations(&scan(by_translation), &degenerate.translations, &up);
         self.intervals.add_rotations(&scan(by_rotation), &degenerate.rotations, &up);
         let rotation_is_measured = segment.rotation_is_measured();

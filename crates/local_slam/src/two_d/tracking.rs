@@ -321,7 +321,7 @@ impl Tracker {
     }
 
     /// What the motion says of the pose of a scan.
-    fn prior(&self, prediction: Rigid2, motion: Motion) -> MotionPrior {
+    pub fn prior(&self, prediction: Rigid2, motion: Motion) -> MotionPrior {
         let mut sigmas = self.prediction_error.sigmas(&motion.to(&prediction));
         let square = motion.seconds.powi(2);
         if !motion.is_measured() {

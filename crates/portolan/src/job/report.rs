@@ -59,6 +59,10 @@ fn degenerate_seconds(intervals: &[DegenerateInterval]) -> serde_json::Value {
         .into()
 }
 
+fn rounded(number: f64) -> f64 {
+    (1e3 * number).round() / 1e3
+}
+
 /// Intervals in which scans did not constrain a component of motion.
 fn degenerate_intervals(intervals: &[DegenerateInterval]) -> Vec<serde_json::Value> {
     let entry = |i: &DegenerateInterval| {
@@ -66,9 +70,11 @@ fn degenerate_intervals(intervals: &[DegenerateInterval]) -> Vec<serde_json::Val
             "from": i.start.unix_seconds(),
             "to": i.end.unix_seconds(),
             "scans": i.scans,
-            "seconds": (1e3 * i.seconds).round() / 1e3,
+            "seconds": rounded(i.seconds),
             "motion": motion_key(i.motion),
             "substitute": substitute_key(i.taken),
+            "sigma_m": i.sigma.filter(|_| !i.motion.is_rotation()).map(rounded),
+            "sigma_deg": i.sigma.filter(|_| i.motion.is_rotation()).map(|s| rounded(s.to_degrees())),
             "direction_in_tracking_frame": i.direction_in_tracking.as_slice(),
         })
     };

@@ -199,16 +199,18 @@ impl FrontEnd {
             Measured::Nothing => (Substitute::Velocity, Substitute::Velocity),
         };
         self.note_guess(time, motion, found);
-        let scan = |taken| DegenerateScan { time, seconds, taken };
+        let sigmas = self.tracker.prior(expected.prediction, *motion).sigmas;
+        let way = DegenerateScan { time, seconds, taken: of_way, sigma: Some(sigmas.translation) };
+        let turn = DegenerateScan { time, seconds, taken: of_turn, sigma: Some(sigmas.rotation) };
         match found.left_open {
             LeftOpen::Nothing => {}
             LeftOpen::Along(direction) => {
-                self.degenerate.add_translations(&scan(of_way), &[in_space(direction)], &Vector3::z());
+                self.degenerate.add_translations(&way, &[in_space(direction)], &Vector3::z());
             }
             LeftOpen::Everything => {
                 let in_plane = [Vector3::x(), Vector3::y()];
-                self.degenerate.add_translations(&scan(of_way), &in_plane, &Vector3::z());
-                self.degenerate.add_rotations(&scan(of_turn), &[Vector3::z()], &Vector3::z());
+                self.degenerate.add_translations(&way, &in_plane, &Vector3::z());
+                self.degenerate.add_rotations(&turn, &[Vector3::z()], &Vector3::z());
             }
         }
     }
