@@ -1,5 +1,6 @@
 //! One whole scan: predicted, matched, believed or not, inserted.
 
+use std::f64::consts::PI;
 use std::sync::Arc;
 
 use portolan_geometry::{
@@ -14,7 +15,7 @@ use super::super::belief::{Belief, Fit};
 use super::super::co_moving::Marked;
 use super::super::dead_reckoning::DeadReckoning;
 use super::super::gather::GatheredScan;
-use super::super::motion::{Measured, Motion};
+use super::super::motion::{FASTEST, Measured, Motion};
 use super::super::scan::Scan;
 use super::super::tracking::{Found, LeftOpen};
 use super::FrontEnd;
@@ -200,8 +201,12 @@ impl FrontEnd {
         };
         self.note_guess(time, motion, found);
         let sigmas = self.tracker.prior(expected.prediction, *motion).sigmas;
-        let way = DegenerateScan { time, seconds, taken: of_way, sigma: Some(sigmas.translation) };
-        let turn = DegenerateScan { time, seconds, taken: of_turn, sigma: Some(sigmas.rotation) };
+        // After a long time an acceleration would explain more than a robot can have gone.
+        let (metres, radians) = (FASTEST.linear * seconds, (FASTEST.angular * seconds).min(PI));
+        let way =
+            DegenerateScan { time, seconds, taken: of_way, sigma: Some(sigmas.translation.min(metres)) };
+        let turn =
+            DegenerateScan { time, seconds, taken: of_turn, sigma: Some(sigmas.rotation.min(radians)) };
         match found.left_open {
             LeftOpen::Nothing => {}
             LeftOpen::Along(direction) => {
