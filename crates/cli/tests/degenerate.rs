@@ -163,30 +163,31 @@ fn lidars_whose_sweeps_never_repeat_are_followed_without_an_imu() {
     }
 }
 
+/// Maps a recording of a planar lidar: what `map` printed, and the report.
+fn planar(code: i32, recording: &str, more: &[&str]) -> (String, serde_json::Value) {
+    let folder = tempfile::tempdir().unwrap();
+    let map = ["map", recording, "-o", &text(folder.path()), "-q", "--no-xray"];
+    let summary = portolan_with_code(code, &[&map, more].concat()).stdout;
+    let report = std::fs::read_to_string(folder.path().join("report.json")).unwrap();
+    (summary, serde_json::from_str(&report).unwrap())
+}
+
 #[test]
 fn along_a_bare_corridor_odometry_is_used_and_without_it_the_map_is_not_done() {
     let (recording, _) = simulated_once(&["corridors", "--seconds", "60", "--seed", "5"]);
-    let folder = tempfile::tempdir().unwrap();
-    let report = |code: i32, name: &str, more: &[&str]| -> serde_json::Value {
-        let output = text(&folder.path().join(name));
-        let summary = portolan_with_code(
-            code,
-            &[&["map", &recording, "-o", &output, "-q", "--no-xray"], more].concat(),
-        )
-        .stdout;
-        assert!(summary.contains("do not constrain motion along the direction of travel"), "{summary}");
-        serde_json::from_str(&std::fs::read_to_string(format!("{output}/report.json")).unwrap()).unwrap()
-    };
     let substitutes = |report: &serde_json::Value| -> Vec<String> {
         let intervals = report["degenerate_intervals"].as_array().unwrap().clone();
         intervals.iter().map(|i| i["substitute"].as_str().unwrap().to_owned()).collect()
     };
-    let measured = report(0, "measured", &[]);
+    let along = "do not constrain motion along the direction of travel";
+    let (summary, measured) = planar(0, &recording, &[]);
+    assert!(summary.contains(along), "{summary}");
     assert!((2.0..6.0).contains(&seconds(&measured, "along_travel")), "{measured}");
     assert!(substitutes(&measured).iter().all(|taken| taken == "odometry"), "{measured}");
     let sigma = measured["degenerate_intervals"][0]["sigma_m"].as_f64().unwrap();
     assert!((0.01..0.5).contains(&sigma), "{measured}");
-    let guessed = report(3, "guessed", &["--no-odometry"]);
+    let (summary, guessed) = planar(3, &recording, &["--no-odometry"]);
+    assert!(summary.contains(along), "{summary}");
     assert!(substitutes(&guessed).iter().all(|taken| taken == "constant_velocity"), "{guessed}");
     let kinds: Vec<&str> =
         guessed["issues"].as_array().unwrap().iter().map(|issue| issue["kind"].as_str().unwrap()).collect();
@@ -196,12 +197,8 @@ fn along_a_bare_corridor_odometry_is_used_and_without_it_the_map_is_not_done() {
 #[test]
 fn a_room_leaves_nothing_open_with_odometry_or_without() {
     let (recording, _) = simulated_once(&["office", "--seconds", "40", "--seed", "5"]);
-    let folder = tempfile::tempdir().unwrap();
-    for (name, more) in [("measured", &[][..]), ("seen", &["--no-odometry"])] {
-        let output = text(&folder.path().join(name));
-        portolan_with_code(0, &[&["map", &recording, "-o", &output, "-q", "--no-xray"], more].concat());
-        let report = std::fs::read_to_string(format!("{output}/report.json")).unwrap();
-        let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+    for more in [&[][..], &["--no-odometry"]] {
+        let (_, report) = planar(0, &recording, more);
         assert!(report["degenerate_intervals"].as_array().unwrap().is_empty(), "{report}");
     }
 }

@@ -191,6 +191,7 @@ impl FrontEnd {
     /// Joins what scans leave to the prediction to intervals.
     fn note_left_open(&mut self, time: Time, expected: &Expected, found: &Found) {
         let Some(motion) = &expected.motion else { return };
+        self.note_guess(time, motion, found);
         let seconds = motion.seconds;
         let in_space = |in_plane: Vector2| Vector3::new(in_plane.x, in_plane.y, 0.0);
         self.degenerate.moved(&in_space(motion.to(&found.pose).translation), seconds, &Vector3::z());
@@ -199,7 +200,6 @@ impl FrontEnd {
             Measured::Rotation => (Substitute::Velocity, Substitute::Gyroscope),
             Measured::Nothing => (Substitute::Velocity, Substitute::Velocity),
         };
-        self.note_guess(time, motion, found);
         let sigmas = self.tracker.prior(expected.prediction, *motion).sigmas;
         // After a long time an acceleration would explain more than a robot can have gone.
         let (metres, radians) = (FASTEST.linear * seconds, (FASTEST.angular * seconds).min(PI));
