@@ -1,6 +1,7 @@
 //! One trajectory's scans, each predicted, matched and inserted (`slam2d.md` §5), from a motion at the start that is given.
 
 mod deskew;
+mod left_open;
 mod one_scan;
 mod pieces;
 
@@ -21,6 +22,7 @@ use super::belief::Belief;
 use super::co_moving::CoMoving;
 use super::dead_reckoning::DeadReckoning;
 use super::gather::{Accumulation, gravity_aligned, unwarp};
+use super::guessed_way::GuessedWay;
 use super::level::LevelFilter;
 use super::start::{NEAR, Role, Velocity};
 use super::tracking::Tracker;
@@ -65,8 +67,7 @@ pub(super) struct FrontEnd {
     /// A piece of map was begun that nothing measured ties to the one before.
     has_begun_anew: bool,
     degenerate: DegenerateIntervals,
-    /// When scans or odometry last told how far the scanner went.
-    told: Option<Time>,
+    guessed_way: GuessedWay,
     /// What it does besides mapping.
     pub(super) role: Role,
     issues: IssueLog,
@@ -106,7 +107,7 @@ impl FrontEnd {
             start_velocity,
             has_begun_anew: false,
             degenerate: DegenerateIntervals::default(),
-            told: None,
+            guessed_way: GuessedWay::default(),
             role,
             issues: IssueLog::default(),
             options: options.clone(),

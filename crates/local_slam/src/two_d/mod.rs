@@ -7,6 +7,7 @@ mod dead_reckoning;
 mod degeneracy;
 mod front_end;
 mod gather;
+mod guessed_way;
 mod hypotheses;
 mod level;
 mod motion;

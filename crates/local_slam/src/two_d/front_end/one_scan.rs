@@ -1,13 +1,9 @@
 //! One whole scan: predicted, matched, believed or not, inserted.
 
-use std::f64::consts::PI;
 use std::sync::Arc;
 
-use portolan_geometry::{
-    Quaternion, Rigid2, Rigid3, Time, Vector2, Vector3, embed_3d, is_valid_pose, project_2d, to_f32, yaw,
-};
+use portolan_geometry::{Quaternion, Rigid2, Rigid3, Time, embed_3d, is_valid_pose, project_2d, to_f32, yaw};
 use portolan_issue::IssueKind;
-use portolan_lidar_odometry::{DegenerateScan, Substitute};
 use portolan_sensor::{PointCloud, RangeData, voxel_filter};
 use portolan_submaps::{PlanarScan, Submap2d, search_after_gap};
 
@@ -15,27 +11,22 @@ use super::super::belief::{Belief, Fit};
 use super::super::co_moving::Marked;
 use super::super::dead_reckoning::DeadReckoning;
 use super::super::gather::GatheredScan;
-use super::super::motion::{FASTEST, Measured, Motion};
+use super::super::motion::{Measured, Motion};
 use super::super::scan::Scan;
 use super::super::tracking::{Found, LeftOpen};
 use super::FrontEnd;
 use crate::{InsertedNode, Lost, MatchingResult, NodeData, Planar, filtered};
 
-/// If nothing has told for so many seconds how far the scanner went, that is a guess.
-const LONGEST_GUESS: f64 = 1.5;
-/// More slowly, m/s, it may as well stand, and constant velocity guesses little.
-const SLOW: f64 = 0.1;
-
 /// A scan and where it is expected.
-struct Expected<'a> {
+pub(super) struct Expected<'a> {
     /// In the gravity-aligned tracking frame.
     scan: &'a RangeData,
     /// What is matched of its returns.
     cloud: PointCloud,
     /// In the local map.
-    prediction: Rigid2,
+    pub prediction: Rigid2,
     /// Since the scan before.
-    motion: Option<Motion>,
+    pub motion: Option<Motion>,
 }
 
 impl FrontEnd {
@@ -186,50 +177,6 @@ impl FrontEnd {
         let submap = self.active_submaps.matching_submap();
         let scan = submap.map(|submap| Scan::new(&expected.cloud, &expected.scan.returns, submap));
         self.role.note(&self.tracker, (expected.prediction, found), motion, scan);
-    }
-
-    /// Joins what scans leave to the prediction to intervals.
-    fn note_left_open(&mut self, time: Time, expected: &Expected, found: &Found) {
-        let Some(motion) = &expected.motion else { return };
-        self.note_guess(time, motion, found);
-        let seconds = motion.seconds;
-        let in_space = |in_plane: Vector2| Vector3::new(in_plane.x, in_plane.y, 0.0);
-        self.degenerate.moved(&in_space(motion.to(&found.pose).translation), seconds, &Vector3::z());
-        let (of_way, of_turn) = match motion.measured {
-            Measured::Whole => (Substitute::Odometry, Substitute::Odometry),
-            Measured::Rotation => (Substitute::Velocity, Substitute::Gyroscope),
-            Measured::Nothing => (Substitute::Velocity, Substitute::Velocity),
-        };
-        let sigmas = self.tracker.prior(expected.prediction, *motion).sigmas;
-        // After a long time an acceleration would explain more than a robot can have gone.
-        let (metres, radians) = (FASTEST.linear * seconds, (FASTEST.angular * seconds).min(PI));
-        let way =
-            DegenerateScan { time, seconds, taken: of_way, sigma: Some(sigmas.translation.min(metres)) };
-        let turn =
-            DegenerateScan { time, seconds, taken: of_turn, sigma: Some(sigmas.rotation.min(radians)) };
-        match found.left_open {
-            LeftOpen::Nothing => {}
-            LeftOpen::Along(direction) => {
-                self.degenerate.add_translations(&way, &[in_space(direction)], &Vector3::z());
-            }
-            LeftOpen::Everything => {
-                let in_plane = [Vector3::x(), Vector3::y()];
-                self.degenerate.add_translations(&way, &in_plane, &Vector3::z());
-                self.degenerate.add_rotations(&turn, &[Vector3::z()], &Vector3::z());
-            }
-        }
-    }
-
-    /// Counts scans before which nothing has told for long how far the scanner went, on its way.
-    fn note_guess(&mut self, time: Time, motion: &Motion, found: &Found) {
-        let told = self.told.get_or_insert(time);
-        let moved = motion.to(&found.pose).translation.norm();
-        let stands = moved < SLOW * motion.seconds;
-        if stands || motion.is_measured() || found.left_open == LeftOpen::Nothing {
-            *told = time;
-        } else if time.seconds_since(*told) > LONGEST_GUESS {
-            self.count(IssueKind::TravelGuessed, time);
-        }
     }
 
     /// The pose that is believed in the local map, and the end of the piece of map if it is another one; none if it is no pose.

@@ -1,0 +1,74 @@
+//! What scans leave to the prediction, joined to intervals, and guesses of the way.
+
+use std::f64::consts::PI;
+
+use portolan_geometry::{Duration, Rigid2, Time, Vector2, Vector3};
+use portolan_issue::IssueKind;
+use portolan_lidar_odometry::{DegenerateScan, Substitute};
+
+use super::super::guessed_way::Velocity;
+use super::super::motion::{FASTEST, Measured, Motion};
+use super::super::tracking::{Found, LeftOpen};
+use super::FrontEnd;
+use super::one_scan::Expected;
+
+/// A way that may be off by more, metres, is a guess.
+const GUESS: f64 = 0.5;
+/// More slowly, m/s, it may as well stand, and constant velocity guesses little.
+const SLOW: f64 = 0.1;
+
+fn in_space(in_plane: Vector2) -> Vector3 {
+    Vector3::new(in_plane.x, in_plane.y, 0.0)
+}
+
+impl FrontEnd {
+    /// Joins what scans leave to the prediction to intervals.
+    pub(super) fn note_left_open(&mut self, time: Time, expected: &Expected, found: &Found) {
+        let Some(motion) = &expected.motion else { return };
+        let guessed = self.note_guess(time, motion, found);
+        let seconds = motion.seconds;
+        self.degenerate.moved(&in_space(motion.to(&found.pose).translation), seconds, &Vector3::z());
+        let (of_way, of_turn) = match motion.measured {
+            Measured::Whole => (Substitute::Odometry, Substitute::Odometry),
+            Measured::Rotation => (Substitute::Velocity, Substitute::Gyroscope),
+            Measured::Nothing => (Substitute::Velocity, Substitute::Velocity),
+        };
+        let sigmas = self.tracker.prior(expected.prediction, *motion).sigmas;
+        // After a long time an acceleration would explain more than a robot can have gone.
+        let (metres, radians) = (FASTEST.linear * seconds, (FASTEST.angular * seconds).min(PI));
+        let shift = guessed.unwrap_or(sigmas.translation).min(metres);
+        let turned = sigmas.rotation.min(radians);
+        let way = DegenerateScan { time, seconds, taken: of_way, sigma: Some(shift) };
+        let turn = DegenerateScan { time, seconds, taken: of_turn, sigma: Some(turned) };
+        match found.left_open {
+            LeftOpen::Nothing => {}
+            LeftOpen::Along(direction) => {
+                self.degenerate.add_translations(&way, &[in_space(direction)], &Vector3::z());
+            }
+            LeftOpen::Everything => {
+                let in_plane = [Vector3::x(), Vector3::y()];
+                self.degenerate.add_translations(&way, &in_plane, &Vector3::z());
+                self.degenerate.add_rotations(&turn, &[Vector3::z()], &Vector3::z());
+            }
+        }
+    }
+
+    /// Counts scans whose way is a guess. What the last step adds to how far it may be off, metres, if it is one.
+    fn note_guess(&mut self, time: Time, motion: &Motion, found: &Found) -> Option<f64> {
+        let is_slow = motion.to(&found.pose).translation.norm() < SLOW * motion.seconds;
+        // What seems to stop where nothing tells the way may as well go on; what rested before does so still.
+        let still_rests = is_slow && self.guessed_way.rested();
+        if still_rests || motion.is_measured() || found.left_open == LeftOpen::Nothing {
+            let velocity_sigma = self.tracker.sigmas(&Rigid2::identity()).translation / motion.seconds;
+            self.guessed_way.is_told(time, &found.pose, Velocity { sigma: velocity_sigma, is_slow });
+            return None;
+        }
+        let before = self.guessed_way.sigma(time - Duration::from_seconds(motion.seconds));
+        self.guessed_way.is_guessed(time);
+        let sigma = self.guessed_way.sigma(time);
+        if sigma > GUESS {
+            self.count(IssueKind::TravelGuessed, time);
+        }
+        Some((sigma.powi(2) - before.powi(2)).max(0.0).sqrt())
+    }
+}
