@@ -13,6 +13,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use portolan_geometry::{Rigid3, Vector3, rotation_angle};
 
+use portolan_submaps::SearchWindow;
+
 use super::PoseGraph;
 use super::travel::TravelGraph;
 use crate::{Constraint, NodeId, OpenShift, Space, TrajectoryId, of_trajectory};
@@ -21,6 +23,7 @@ use crate::{Constraint, NodeId, OpenShift, Space, TrajectoryId, of_trajectory};
 /// a few submaps.
 const MAX_TRANSLATION: f64 = 0.5;
 const MAX_ROTATION: f64 = 0.09;
+const NO_DRIFT: SearchWindow = SearchWindow { linear: 0.0, angular: 0.0 };
 /// The winning place needs so many times the support of any other.
 const LEAD: f64 = 2.0;
 /// What a match says grows with its score above this, which the halves of symmetric buildings reach of each
@@ -47,6 +50,10 @@ struct WaitingMatch {
     place_in_later: Vector3,
     /// The direction along which it does not tell the place, in the map frame of the earlier part.
     open: Option<OpenShift>,
+    /// Odometry told of the motion between the parts, and about the same.
+    is_where_odometry_says: bool,
+    /// How far its node is along its trajectory, metres.
+    way: f64,
 }
 
 impl WaitingMatch {
@@ -61,10 +68,11 @@ impl WaitingMatch {
         let yaw = self.earlier_from_later.rotation.euler_angles().2.to_degrees();
         let Constraint { node_id, submap_id, .. } = &self.constraint;
         tracing::debug!(
-            "node {node_id} in submap {submap_id} says that the later part lies at {:.2}, {:.2}, {:.2} m, {yaw:.1} deg",
+            "node {node_id} in submap {submap_id} says that the later part lies at {:.2}, {:.2}, {:.2} m, {yaw:.1} deg{}",
             at.x,
             at.y,
             at.z,
+            if self.is_where_odometry_says { ", as odometry" } else { "" },
         );
     }
 }
@@ -173,7 +181,14 @@ impl<S: Space> PoseGraph<S> {
             false => (found_from_known.inverse(), found),
         };
         let place_in_later = place.translation.vector;
-        Some(WaitingMatch { constraint: constraint.clone(), earlier_from_later, place_in_later, open: None })
+        Some(WaitingMatch {
+            constraint: constraint.clone(),
+            earlier_from_later,
+            place_in_later,
+            open: None,
+            is_where_odometry_says: false,
+            way: self.ways.get(&constraint.node_id).copied().unwrap_or(0.0),
+        })
     }
 
     pub(super) fn take(&mut self, constraint: Constraint) {
@@ -212,7 +227,11 @@ impl<S: Space> PoseGraph<S> {
         waiting.log();
         let waiting_here = self.waiting.by_parts.entry(parts).or_default();
         waiting_here.push(waiting);
-        if let Some(agreed) = agreed(waiting_here, self.policy.min_agreeing) {
+        let mut likely: Vec<_> = waiting_here.iter().filter(|m| m.is_where_odometry_says).cloned().collect();
+        let (needed, loops) = (self.policy.min_agreeing, self.policy.loops);
+        let agreed = agreed(&mut likely, needed, |way| loops.drift_over(way))
+            .or_else(|| agreed(waiting_here, needed, |_| NO_DRIFT));
+        if let Some(agreed) = agreed {
             self.waiting.by_parts.remove(&parts);
             self.connect_parts(parts, agreed);
         }
@@ -223,7 +242,9 @@ impl<S: Space> PoseGraph<S> {
         let submap_part = part(constraint.submap_id.trajectory_id);
         let node_part = part(constraint.node_id.trajectory_id);
         let parts = (submap_part.min(node_part), submap_part.max(node_part));
-        Some((parts, self.as_waiting(constraint, submap_part < node_part)?))
+        let waiting = self.as_waiting(constraint, submap_part < node_part)?;
+        let is_where_odometry_says = self.is_where_odometry_says(constraint);
+        Some((parts, WaitingMatch { is_where_odometry_says, ..waiting }))
     }
 
     /// Puts one part where the matches say it lies in the other, and takes the matches over.
@@ -267,8 +288,13 @@ impl<S: Space> PoseGraph<S> {
     }
 }
 
-/// The matches that agree with the newest one, if they are enough and clearly more than any others.
-fn agreed(waiting: &mut Vec<WaitingMatch>, needed: usize) -> Option<Vec<WaitingMatch>> {
+/// The matches that agree with the newest one, if they are enough and clearly more than any others that contradict it: differ by
+/// more than trajectories drift on the way between the two nodes, whose metres `drift` is asked for.
+fn agreed(
+    waiting: &mut Vec<WaitingMatch>,
+    needed: usize,
+    drift: impl Fn(f64) -> SearchWindow,
+) -> Option<Vec<WaitingMatch>> {
     let support = |of: &WaitingMatch| {
         // One scan that is found in several submaps of a place says it only once.
         let mut nodes: BTreeMap<NodeId, f64> = BTreeMap::new();
@@ -283,7 +309,8 @@ fn agreed(waiting: &mut Vec<WaitingMatch>, needed: usize) -> Option<Vec<WaitingM
     if nodes < needed {
         return None;
     }
-    let others = waiting.iter().filter(|m| !agree(m, &newest)).map(|m| support(m).1).fold(0.0, f64::max);
+    let contradicts = |m: &&WaitingMatch| !agree_within(m, &newest, drift((m.way - newest.way).abs()));
+    let others = waiting.iter().filter(contradicts).map(|m| support(m).1).fold(0.0, f64::max);
     if own < LEAD * others {
         return None;
     }
@@ -291,8 +318,13 @@ fn agreed(waiting: &mut Vec<WaitingMatch>, needed: usize) -> Option<Vec<WaitingM
     Some(std::mem::take(waiting))
 }
 
-/// Compared where the scans lie: far from the origin a small turn moves much.
 fn agree(a: &WaitingMatch, b: &WaitingMatch) -> bool {
+    agree_within(a, b, NO_DRIFT)
+}
+
+/// Whether matches differ by no more than that beyond what is usual. Compared where the scans lie: far from the origin a
+/// small turn moves much.
+fn agree_within(a: &WaitingMatch, b: &WaitingMatch, drift: SearchWindow) -> bool {
     if a.open.zip(b.open).is_some_and(|(a, b)| a.direction.dot(&b.direction).abs() < PARALLEL) {
         return false;
     }
@@ -300,7 +332,7 @@ fn agree(a: &WaitingMatch, b: &WaitingMatch) -> bool {
     let apart = a.earlier_from_later * place - b.earlier_from_later * place;
     let apart = [a, b].iter().filter_map(|m| m.open).fold(apart, |apart, open| open.closed_part(&apart));
     let turned = rotation_angle(&(a.earlier_from_later.inverse() * b.earlier_from_later));
-    apart.norm() <= MAX_TRANSLATION && turned <= MAX_ROTATION
+    apart.norm() <= MAX_TRANSLATION + drift.linear && turned <= MAX_ROTATION + drift.angular
 }
 
 #[cfg(test)]
@@ -325,15 +357,22 @@ mod tests {
             Vector3::new(x, 0.0, 0.0).into(),
             Quaternion::from_axis_angle(&Vector3::z_axis(), yaw),
         );
-        WaitingMatch { constraint, earlier_from_later, place_in_later: Vector3::zeros(), open: None }
+        WaitingMatch {
+            constraint,
+            earlier_from_later,
+            place_in_later: Vector3::zeros(),
+            open: None,
+            is_where_odometry_says: false,
+            way: 0.0,
+        }
     }
 
     #[test]
     fn places_that_differ_are_not_believed() {
         let mut waiting: Vec<WaitingMatch> = (0..6).map(|i| at(i, 3.0 * f64::from(i), 0.0)).collect();
-        assert!(agreed(&mut waiting, 3).is_none());
+        assert!(agreed(&mut waiting, 3, |_| NO_DRIFT).is_none());
         waiting.extend([at(7, 40.0, 0.5), at(8, 40.2, -0.5), at(9, 40.1, 0.5)]);
-        assert!(agreed(&mut waiting, 3).is_none());
+        assert!(agreed(&mut waiting, 3, |_| NO_DRIFT).is_none());
         assert_eq!(waiting.len(), 9);
     }
 
@@ -346,17 +385,20 @@ mod tests {
         };
         let poor = || (0..4).map(|i| scored(i, 9.0, 0.56));
         let good = |score| (4..8).map(move |i| scored(i, 1.0, score));
-        assert!(agreed(&mut poor().chain(good(0.6)).collect(), 3).is_none());
+        assert!(agreed(&mut poor().chain(good(0.6)).collect(), 3, |_| NO_DRIFT).is_none());
         let mut waiting = poor().chain(good(0.75)).collect();
-        assert_eq!(agreed(&mut waiting, 3).unwrap().len(), 4);
-        assert!(agreed(&mut good(0.75).chain(poor()).collect(), 3).is_none());
+        assert_eq!(agreed(&mut waiting, 3, |_| NO_DRIFT).unwrap().len(), 4);
+        assert!(agreed(&mut good(0.75).chain(poor()).collect(), 3, |_| NO_DRIFT).is_none());
     }
 
     #[test]
     fn three_that_agree_are_taken_and_the_rest_is_forgotten() {
         let mut waiting = vec![at(0, 1.0, 0.0), at(1, 50.0, 0.0), at(2, 1.2, 0.02), at(3, 0.9, -0.03)];
-        let taken: Vec<u32> =
-            agreed(&mut waiting, 3).unwrap().iter().map(|m| m.constraint.node_id.index).collect();
+        let taken: Vec<u32> = agreed(&mut waiting, 3, |_| NO_DRIFT)
+            .unwrap()
+            .iter()
+            .map(|m| m.constraint.node_id.index)
+            .collect();
         assert_eq!(taken, [0, 2, 3]);
         assert!(waiting.is_empty());
     }
@@ -374,15 +416,15 @@ mod tests {
     #[test]
     fn one_scan_in_three_submaps_counts_once() {
         let mut waiting = vec![at(4, 1.0, 0.0), at(4, 1.1, 0.0), at(4, 0.9, 0.0)];
-        assert!(agreed(&mut waiting, 3).is_none());
+        assert!(agreed(&mut waiting, 3, |_| NO_DRIFT).is_none());
     }
 
     #[test]
     fn two_places_that_look_alike_wait_for_more() {
         let mut waiting =
             vec![at(0, 9.0, 0.0), at(1, 9.0, 0.0), at(2, 1.0, 0.0), at(3, 1.0, 0.0), at(5, 1.0, 0.0)];
-        assert!(agreed(&mut waiting, 3).is_none());
+        assert!(agreed(&mut waiting, 3, |_| NO_DRIFT).is_none());
         waiting.push(at(6, 1.0, 0.0));
-        assert_eq!(agreed(&mut waiting, 3).unwrap().len(), 4);
+        assert_eq!(agreed(&mut waiting, 3, |_| NO_DRIFT).unwrap().len(), 4);
     }
 }

@@ -3,11 +3,16 @@
 //!
 //! It may have failed then, and nothing shows it: so the parts before and after a gap are apart until scans agree how they
 //! lie. Where none do, odometry ties them at the end, as loosely as it is known to measure. Where scans contradicted the map the
-//! scanner may have been carried elsewhere, and the part after it is looked for everywhere, as if odometry had told nothing.
+//! scanner may have been carried elsewhere, and the part after it is looked for everywhere. But wheels roll seldom while a robot
+//! is carried: matches that agree with odometry, and with each other, are believed before any others.
 
 use std::collections::BTreeSet;
 
+use portolan_geometry::rotation_angle;
+
 use super::PoseGraph;
+use super::state::Gap;
+use super::travel::TravelGraph;
 use crate::{Constraint, ConstraintTag, Space, TrajectoryId, of_trajectory};
 
 impl<S: Space> PoseGraph<S> {
@@ -34,6 +39,55 @@ impl<S: Space> PoseGraph<S> {
             id = gap.before;
         }
         id
+    }
+
+    /// Whether a match places a part of the map, which goes on where scans had contradicted the map, about where odometry says: as
+    /// far off as odometry and the ways to what was matched explain.
+    pub(super) fn is_where_odometry_says(&self, constraint: &Constraint) -> bool {
+        if self.policy.loops.drift == 0.0 {
+            return false;
+        }
+        let mut contradicted =
+            self.state.trajectories.iter().filter_map(|(id, entry)| {
+                Some((*id, entry.after_gap.filter(|gap| gap.bridge.is_contradicted)?))
+            });
+        let mut travel = None;
+        contradicted.any(|(id, gap)| {
+            let travel = travel.get_or_insert_with(|| TravelGraph::new(&self.state, &self.ways));
+            self.is_near_odometry(constraint, (id, gap), travel).unwrap_or(false)
+        })
+    }
+
+    /// None where the match does not relate what was before the gap with what was after it.
+    fn is_near_odometry(
+        &self,
+        constraint: &Constraint,
+        (after, gap): (TrajectoryId, Gap),
+        travel: &TravelGraph,
+    ) -> Option<bool> {
+        let tie = self.tie_over_gap(after)?;
+        let node = self.problem.nodes.get(&tie.node_id)?;
+        let before_from_after =
+            self.problem.submaps.get(&tie.submap_id)? * tie.submap_from_node * node.map_from_node.inverse();
+        let is_in = |part, id| self.state.connectivity.are_connected(part, id);
+        let Constraint { submap_id, node_id, .. } = *constraint;
+        let found = self.problem.submaps.get(&submap_id)? * constraint.submap_from_node;
+        let known = self.problem.nodes.get(&node_id)?.map_from_node;
+        let submap_of_node = travel.submap_of(node_id)?;
+        let (error, before, later) = if is_in(after, node_id.trajectory_id) {
+            is_in(gap.before, submap_id.trajectory_id).then_some(())?;
+            (found.inverse() * (before_from_after * known), submap_id, submap_of_node)
+        } else {
+            (is_in(gap.before, node_id.trajectory_id) && is_in(after, submap_id.trajectory_id))
+                .then_some(())?;
+            ((before_from_after * found).inverse() * known, submap_of_node, submap_id)
+        };
+        let (to_gap, from_gap) =
+            (travel.lengths_from(tie.submap_id), travel.lengths_from(travel.submap_of(tie.node_id)?));
+        let way = to_gap.of_place(before)? + gap.way + from_gap.of_place(later)?;
+        let turned = to_gap.of_heading(before)? + gap.way + from_gap.of_heading(later)?;
+        let window = self.policy.loops.window(way, turned);
+        Some(error.translation.vector.norm() <= window.linear && rotation_angle(&error) <= window.angular)
     }
 
     /// Ties trajectories to those before their gaps that nothing else ties to them.
@@ -125,6 +179,51 @@ mod tests {
         graph.run_final_optimization();
         let at = graph.state().nodes.get(&nodes[1]).unwrap().map_from_tracking.translation.vector;
         assert!((at.x - 21.0).abs() < 1e-3 && (at.y - 0.1).abs() < 0.02, "{at}");
+    }
+
+    /// Three nodes say that the part after a gap lies where odometry says, two metres beside it, and three more that it lies
+    /// elsewhere: returns whether any are believed.
+    fn is_odometry_believed(is_contradicted: bool) -> bool {
+        let options = Options::for_2d().map_builder.pose_graph;
+        let mut graph = PoseGraph::<Planar>::new(options);
+        graph.policy.min_agreeing = 3;
+        graph.policy.loops.drift = 0.05;
+        let [before, after] = [0, 1].map(TrajectoryId);
+        graph.add_trajectory(before, None);
+        graph.add_node(before, inserted((9.0, 7.0), 0.0, 0.0));
+        let bridge = OdometryBridge { translation: 0.5, rotation: 0.1, is_contradicted };
+        graph.begin_piece(before, Vec::new(), after, &Rigid3::identity(), Some(bridge));
+        let nodes = [0, 1, 2, 3, 4, 5].map(|i| {
+            let mut node = inserted((6.0, 5.0), 10.0 + f64::from(i), 20.0 + f64::from(i));
+            node.submaps.iter_mut().for_each(|submap| submap.index = i);
+            graph.add_node(after, node)
+        });
+        for (i, node_id) in nodes.into_iter().enumerate() {
+            let x = 20.0 + f64::from(node_id.index);
+            let submap_from_node = match i % 2 {
+                0 => Rigid3::translation(60.0 + x, 0.0, 0.0),
+                _ => Rigid3::translation(x, 2.0, 0.0),
+            };
+            graph.add_found(vec![Constraint {
+                submap_id: SubmapId::new(before, 0),
+                node_id,
+                submap_from_node,
+                translation_weight: 500.0,
+                rotation_weight: 1600.0,
+                tag: ConstraintTag::InterSubmap,
+                open: None,
+                score: Some(0.8),
+            }]);
+        }
+        let place = graph.problem.nodes[&nodes[1]].map_from_node.translation.vector;
+        graph.state().connectivity.are_connected(before, after) && (place.y - 2.0).abs() < 1e-6
+    }
+
+    #[test]
+    fn places_that_agree_with_odometry_are_believed_before_others() {
+        assert!(is_odometry_believed(true));
+        // A gap without scans: odometry is used for searching, and matches have to agree all the same.
+        assert!(!is_odometry_believed(false));
     }
 
     #[test]

@@ -29,13 +29,19 @@ const LEAST_WINDOW: SearchWindow = SearchWindow { linear: 1.5, angular: 0.2 };
 const WIDEST_WINDOW: f64 = 30.0;
 
 impl LoopSearchPolicy {
+    /// How far poses drift over a way of so many metres. The place drifts with the way, as a heading that is off by a constant
+    /// makes it; the heading itself does a random walk.
+    pub(super) fn drift_over(&self, way: f64) -> SearchWindow {
+        SearchWindow { linear: self.drift * way, angular: self.drift * way.sqrt() }
+    }
+
     /// How far around its guess a node is searched after paths of so many metres since the place and since the heading
-    /// were tied. The place drifts with the way, as a heading that is off by a constant makes it; the heading itself does
-    /// a random walk.
+    /// were tied.
     pub(super) fn window(&self, travelled: f64, turned: f64) -> SearchWindow {
+        let (linear, angular) = (self.drift_over(travelled).linear, self.drift_over(turned).angular);
         SearchWindow {
-            linear: (LEAST_WINDOW.linear + self.drift * travelled).min(WIDEST_WINDOW),
-            angular: (LEAST_WINDOW.angular + self.drift * turned.sqrt()).min(PI),
+            linear: (LEAST_WINDOW.linear + linear).min(WIDEST_WINDOW),
+            angular: (LEAST_WINDOW.angular + angular).min(PI),
         }
     }
 
