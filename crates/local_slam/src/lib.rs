@@ -10,7 +10,7 @@ mod two_d;
 mod usual_agreement;
 
 pub use active_submaps::ActiveSubmaps;
-pub use node::{InsertedNode, InsertionSubmap, NodeData};
+pub use node::{GatheredVariance, InsertedNode, InsertionSubmap, NodeData};
 pub use space::{LocalSpace, Planar, Spatial};
 pub use three_d::{LocalSlam3d, LocalSlam3dSettings};
 pub use two_d::{LocalSlam2d, LocalSlamExtras, refutes_place};

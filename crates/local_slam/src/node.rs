@@ -43,6 +43,15 @@ pub struct InsertionSubmap<S: LocalSpace> {
     pub finished: Option<Arc<S::Submap>>,
 }
 
+/// Variances of what was taken where scans left the way or the heading open, gathered since the recording began.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GatheredVariance {
+    /// Metres².
+    pub translation: f64,
+    /// Radians².
+    pub rotation: f64,
+}
+
 /// A scan that local SLAM inserted.
 #[derive(Clone, Debug)]
 pub struct InsertedNode<S: LocalSpace> {
@@ -52,6 +61,8 @@ pub struct InsertedNode<S: LocalSpace> {
     pub submaps: Vec<InsertionSubmap<S>>,
     /// What its scan left open.
     pub open: OpenDirections,
+    /// What had gathered when it was taken (2D).
+    pub gathered: GatheredVariance,
     /// How the map without its scan agrees with the scan (2D); none where there is nothing to compare with.
     pub agreement: Option<ScanAgreement>,
 }

@@ -28,8 +28,8 @@ pub use node::Node;
 pub use portolan_lidar_odometry::{DegenerateInterval, DegenerateMotion, Substitute, SweepPoint};
 /// What local SLAM hands to the pose graph.
 pub use portolan_local_slam::{
-    ActiveSubmaps, InsertedNode, InsertionSubmap, LocalSlam, LocalSpace, Lost, MatchAcceptance,
-    MatchingResult, NodeData, OdometryBridge, Planar, Spatial,
+    ActiveSubmaps, GatheredVariance, InsertedNode, InsertionSubmap, LocalSlam, LocalSpace, Lost,
+    MatchAcceptance, MatchingResult, NodeData, OdometryBridge, Planar, Spatial,
 };
 pub use portolan_motion::{
     ExtrapolatorCounts, ExtrapolatorError, ImuMotion, MotionFilter, PoseExtrapolator, integrate_imu,
@@ -40,7 +40,7 @@ pub use portolan_optimization::{
     of_trajectory,
 };
 pub use pose_graph::{
-    CellFate, Coverage, Extension, GraphState, InitialTrajectoryPose, LoopSearchPolicy, PoseGraph,
+    CellFate, Coverage, Drift, Extension, GraphState, InitialTrajectoryPose, LoopSearchPolicy, PoseGraph,
     PoseGraphPolicy, Replacement, SearchCounts, SelfConsistency, SubmapEntry, TrajectoryEntry,
     TrajectoryState, TrimmedNode, TrimmedNodes, TrimmedTies, Trimmer, VoxelFate,
 };

@@ -110,11 +110,12 @@ impl<S: Space> MappedRecording<S> {
     }
 
     /// Whether data were lost, of the recording, of known maps or while mapping, something was mapped that nothing ties to
-    /// the rest, or parts of the map lie over each other.
+    /// the rest, parts of the map lie over each other, or nobody knows how they lie to each other.
     pub fn lost_data(&self) -> bool {
         self.issues.lost_data()
             || self.losses.iter().any(|loss| self.is_apart(loss) || self.is_unconfirmed(loss))
             || self.map.graph.self_consistency().is_contradictory()
+            || self.map.graph.drift().is_large()
     }
 
     /// Whether the map is fit to be written: poses and constraints are finite, rotations are rotations.

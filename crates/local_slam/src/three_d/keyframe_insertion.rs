@@ -81,7 +81,13 @@ impl KeyframeInsertion {
             local_from_tracking,
             range_data_in_local,
             measured: Vec::new(),
-            inserted: Some(InsertedNode { data: Arc::new(data), submaps, open, agreement: None }),
+            inserted: Some(InsertedNode {
+                data: Arc::new(data),
+                submaps,
+                open,
+                gathered: Default::default(),
+                agreement: None,
+            }),
             lost: None,
         }
     }

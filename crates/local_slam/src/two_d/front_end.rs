@@ -27,8 +27,8 @@ use super::level::LevelFilter;
 use super::start::{NEAR, Role, Velocity};
 use super::tracking::Tracker;
 use crate::{
-    ActiveSubmaps, InsertionSubmap, LocalSlamError, MOST_GATHERED_POINTS, MatchingResult, Planar,
-    count_extrapolated, first_point_time, motion_filter, take_odometry,
+    ActiveSubmaps, GatheredVariance, InsertionSubmap, LocalSlamError, MOST_GATHERED_POINTS, MatchingResult,
+    Planar, count_extrapolated, first_point_time, motion_filter, take_odometry,
 };
 
 /// An odometry source that reported nothing for so long is not waited for.
@@ -67,6 +67,8 @@ pub(super) struct FrontEnd {
     /// A piece of map was begun that nothing measured ties to the one before.
     has_begun_anew: bool,
     degenerate: DegenerateIntervals,
+    /// What gathered where scans left the way or the heading open.
+    gathered: GatheredVariance,
     guessed_way: GuessedWay,
     /// What it does besides mapping.
     pub(super) role: Role,
@@ -107,6 +109,7 @@ impl FrontEnd {
             start_velocity,
             has_begun_anew: false,
             degenerate: DegenerateIntervals::default(),
+            gathered: GatheredVariance::default(),
             guessed_way: GuessedWay::default(),
             role,
             issues: IssueLog::default(),

@@ -9,6 +9,8 @@
 use portolan_geometry::{Rigid2, Time};
 use portolan_numeric::CovarianceMatching;
 
+use super::motion::LONGEST_UNMEASURED;
+
 /// Spectral density of the acceleration before anything was learned, m²/s³: the speed changes by half a metre per second
 /// within a second.
 const DENSITY: f64 = 0.25;
@@ -16,14 +18,23 @@ const DENSITY: f64 = 0.25;
 const MEMORY: f64 = 50.0;
 /// Of at least so many seconds, over which errors of poses hardly count.
 const STRETCH: f64 = 1.0;
+/// More slowly, m/s, it may as well stand.
+const SLOW: f64 = 0.1;
 
 /// What is known of the velocity of the scanner.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Velocity {
+    /// m/s.
+    pub speed: f64,
     /// Standard deviation, m/s.
     pub sigma: f64,
-    /// It may as well stand.
-    pub is_slow: bool,
+}
+
+impl Velocity {
+    /// Whether it may as well stand: constant velocity guesses little then.
+    pub fn is_rest(&self) -> bool {
+        self.speed < SLOW
+    }
 }
 
 /// A stretch in which scans told the way throughout.
@@ -47,7 +58,7 @@ pub(super) struct GuessedWay {
 impl Default for GuessedWay {
     fn default() -> Self {
         let density = CovarianceMatching::new(MEMORY);
-        Self { told: None, velocity: Velocity { sigma: 0.0, is_slow: true }, density, stretch: None }
+        Self { told: None, velocity: Velocity { speed: 0.0, sigma: 0.0 }, density, stretch: None }
     }
 }
 
@@ -79,14 +90,17 @@ impl GuessedWay {
 
     /// Whether it rested when its way was told last, or nothing has ever told it.
     pub fn rested(&self) -> bool {
-        self.told.is_none() || self.velocity.is_slow
+        self.told.is_none() || self.velocity.is_rest()
     }
 
     /// How far the way to here may be off if nothing has told it since it was told last, metres.
     pub fn sigma(&self, time: Time) -> f64 {
         let seconds = self.told.map_or(0.0, |told| time.seconds_since(told));
         let density = DENSITY * self.density.variance_factor();
-        (density * seconds.powi(3) / 3.0 + (self.velocity.sigma * seconds).powi(2)).sqrt()
+        // After long it may as well have stopped.
+        let stopped = if seconds > LONGEST_UNMEASURED { 0.5 * self.velocity.speed } else { 0.0 };
+        let velocity_variance = self.velocity.sigma.powi(2) + stopped.powi(2);
+        (density * seconds.powi(3) / 3.0 + velocity_variance * seconds.powi(2)).sqrt()
     }
 }
 
@@ -98,7 +112,7 @@ mod tests {
         Time::from_ticks((seconds * 1e7).round() as i64)
     }
 
-    const KNOWN: Velocity = Velocity { sigma: 0.0, is_slow: false };
+    const KNOWN: Velocity = Velocity { speed: 0.5, sigma: 0.0 };
 
     /// Follows a scanner with the speed `speed(t)`, m/s, ten times a second.
     fn after(seconds: u32, speed: impl Fn(f64) -> f64) -> GuessedWay {
@@ -116,8 +130,9 @@ mod tests {
     fn a_scanner_that_hardly_changes_its_speed_is_followed_for_longer() {
         let (steady, unsteady) = (after(200, |_| 0.3), after(200, |t| 0.5 + 0.5 * t.sin()));
         let off = |way: &GuessedWay, seconds| way.sigma(at(199.9 + seconds));
-        let (little, much) = (off(&steady, 3.0), off(&unsteady, 3.0));
-        assert!(little < 0.3 && much > 0.7, "{little}, {much}");
+        let (little, much) = (off(&steady, 1.5), off(&unsteady, 1.5));
+        assert!(little < 0.1 && much > 0.3, "{little}, {much}");
+        assert!(off(&steady, 3.0) > 0.5, "it may have stopped");
         assert!(!steady.rested() && GuessedWay::default().rested());
     }
 

@@ -143,7 +143,13 @@ mod tests {
         };
         let finished = Some(Arc::new(submap(room)));
         let submaps = vec![InsertionSubmap { index: 0, local_from_submap: local, finished }];
-        InsertedNode { data: Arc::new(data), submaps, open: Default::default(), agreement: None }
+        InsertedNode {
+            data: Arc::new(data),
+            submaps,
+            open: Default::default(),
+            gathered: Default::default(),
+            agreement: None,
+        }
     }
 
     #[test]

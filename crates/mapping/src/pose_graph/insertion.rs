@@ -90,6 +90,7 @@ impl<S: Space> PoseGraph<S> {
         if !inserted.open.is_empty() {
             self.problem.open.insert(node_id, inserted.open.clone());
         }
+        self.gathered.insert(node_id, inserted.gathered);
         self.problem.nodes.insert(
             node_id,
             OptimizationNode { time: inserted.data.time, local_from_node, map_from_node, gravity_alignment },

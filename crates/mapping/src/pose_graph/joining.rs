@@ -199,7 +199,13 @@ mod tests {
             let submaps = vec![InsertionSubmap { index: 0, local_from_submap: Rigid3::identity(), finished }];
             graph.add_node(
                 id,
-                InsertedNode { data: Arc::new(data), submaps, open: Default::default(), agreement: None },
+                InsertedNode {
+                    data: Arc::new(data),
+                    submaps,
+                    open: Default::default(),
+                    gathered: Default::default(),
+                    agreement: None,
+                },
             );
         }
         graph

@@ -7,6 +7,7 @@
 
 mod agreement;
 mod contradictions;
+mod drift;
 mod editing;
 mod extension;
 mod final_search;
@@ -37,6 +38,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use agreement::WaitingMatches;
+pub use drift::Drift;
 pub use extension::Extension;
 pub use patching::CellFate;
 pub use patching_3d::VoxelFate;
@@ -66,7 +68,7 @@ use search::ConstraintSearch;
 use crate::histogram::Histogram;
 use crate::remembered::Remembered;
 use crate::stop::Stop;
-use crate::{Constraint, ConstraintTag, NodeId, Space, SubmapId, TrajectoryId};
+use crate::{Constraint, ConstraintTag, GatheredVariance, NodeId, Space, SubmapId, TrajectoryId};
 
 /// The pose graph.
 pub struct PoseGraph<S: Space> {
@@ -85,6 +87,8 @@ pub struct PoseGraph<S: Space> {
     policy: PoseGraphPolicy,
     /// How far nodes are along their trajectories, metres.
     ways: BTreeMap<NodeId, f64>,
+    /// What had gathered at nodes where scans left the way or the heading open.
+    gathered: BTreeMap<NodeId, GatheredVariance>,
     open_nodes: OpenNodes,
     contradicted: u64,
     /// Trajectories that began where a scanner was lost, without a place in the rest.
@@ -94,6 +98,7 @@ pub struct PoseGraph<S: Space> {
     waiting: WaitingMatches,
     localisation: Localisation,
     self_consistency: SelfConsistency,
+    drift: Drift,
     optimizations: u64,
     last_summary: OptimizationSummary,
     remembered: Remembered,
@@ -120,6 +125,7 @@ impl<S: Space> PoseGraph<S> {
             nodes_since_optimization: 0,
             policy: PoseGraphPolicy::default(),
             ways: BTreeMap::new(),
+            gathered: BTreeMap::new(),
             open_nodes: OpenNodes::default(),
             contradicted: 0,
             pieces: BTreeSet::new(),
@@ -127,6 +133,7 @@ impl<S: Space> PoseGraph<S> {
             waiting: WaitingMatches::default(),
             localisation: Localisation::default(),
             self_consistency: SelfConsistency::default(),
+            drift: Drift::default(),
             optimizations: 0,
             last_summary: OptimizationSummary::default(),
             remembered: Remembered::default(),
@@ -316,6 +323,7 @@ impl<S: Space> PoseGraph<S> {
         self.problem.max_iterations_override = None;
         self.redraw_submaps();
         self.self_consistency = self.judge_self_consistency();
+        self.drift = self.judge_drift();
     }
 
     fn connect_by(&mut self, constraint: &Constraint) {

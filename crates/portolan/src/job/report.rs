@@ -105,6 +105,10 @@ pub(super) fn report<S: Space>(
             "longest_row": mapped.map.graph.self_consistency().longest_row,
             "contradictory": mapped.map.graph.self_consistency().is_contradictory(),
         },
+        "drift": {
+            "sigma_m": mapped.map.graph.drift().translation,
+            "sigma_deg": mapped.map.graph.drift().rotation.to_degrees(),
+        },
         "known_map": Localisation::of(mapped).map(|l| serde_json::json!({
             "loop_closures": l.loop_closures,
             "first_found_after_seconds": l.first_found_after_seconds,

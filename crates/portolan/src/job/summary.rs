@@ -2,7 +2,7 @@
 
 use portolan_config::Engine;
 use portolan_issue::IssueLog;
-use portolan_mapping::{DegenerateInterval, SelfConsistency, Space};
+use portolan_mapping::{DegenerateInterval, Drift, SelfConsistency, Space};
 use portolan_numeric::LatencyHistogram;
 
 use super::localisation::Localisation;
@@ -27,6 +27,8 @@ pub struct MappingSummary {
     pub unsupported_loop_closures: usize,
     /// Whether scans of one place agree with those of its earlier passes.
     pub self_consistency: SelfConsistency,
+    /// How far places may be off to which only odometry, or nothing, told the way (2D).
+    pub drift: Drift,
     /// Seconds from the first to the last measurement.
     pub recording_seconds: f64,
     /// How long local SLAM took for each matched scan.
@@ -61,6 +63,7 @@ impl MappingSummary {
             contradicted_loop_closures: graph.contradicted_loop_closures(),
             unsupported_loop_closures: graph.unsupported_loop_closures(),
             self_consistency: graph.self_consistency(),
+            drift: graph.drift(),
             recording_seconds: mapped.recording_seconds,
             scan_times: mapped.scan_times.clone(),
             localisation: Localisation::of(mapped),

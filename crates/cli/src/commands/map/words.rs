@@ -123,5 +123,13 @@ fn doubts(mapped: &MappingSummary) -> String {
             consistency.contradicted, consistency.places,
         );
     }
+    let drift = mapped.drift;
+    if drift.is_large() {
+        text += &format!(
+            "parts of the map may be off against each other by {:.1} m and {:.0} deg (one standard deviation): neither scans nor loop closures tell how they lie\n",
+            drift.translation,
+            drift.rotation.to_degrees(),
+        );
+    }
     text
 }

@@ -3,7 +3,6 @@
 use std::f64::consts::PI;
 
 use portolan_geometry::{Duration, Rigid2, Time, Vector2, Vector3};
-use portolan_issue::IssueKind;
 use portolan_lidar_odometry::{DegenerateScan, Substitute};
 
 use super::super::guessed_way::Velocity;
@@ -11,11 +10,6 @@ use super::super::motion::{FASTEST, Measured, Motion};
 use super::super::tracking::{Found, LeftOpen};
 use super::FrontEnd;
 use super::one_scan::Expected;
-
-/// A way that may be off by more, metres, is a guess.
-const GUESS: f64 = 0.5;
-/// More slowly, m/s, it may as well stand, and constant velocity guesses little.
-const SLOW: f64 = 0.1;
 
 fn in_space(in_plane: Vector2) -> Vector3 {
     Vector3::new(in_plane.x, in_plane.y, 0.0)
@@ -43,9 +37,12 @@ impl FrontEnd {
         match found.left_open {
             LeftOpen::Nothing => {}
             LeftOpen::Along(direction) => {
+                self.gathered.translation += shift.powi(2);
                 self.degenerate.add_translations(&way, &[in_space(direction)], &Vector3::z());
             }
             LeftOpen::Everything => {
+                self.gathered.translation += shift.powi(2);
+                self.gathered.rotation += turned.powi(2);
                 let in_plane = [Vector3::x(), Vector3::y()];
                 self.degenerate.add_translations(&way, &in_plane, &Vector3::z());
                 self.degenerate.add_rotations(&turn, &[Vector3::z()], &Vector3::z());
@@ -53,22 +50,21 @@ impl FrontEnd {
         }
     }
 
-    /// Counts scans whose way is a guess. What the last step adds to how far it may be off, metres, if it is one.
+    /// What the last step adds to how far the way may be off, metres, if it is a guess.
     fn note_guess(&mut self, time: Time, motion: &Motion, found: &Found) -> Option<f64> {
-        let is_slow = motion.to(&found.pose).translation.norm() < SLOW * motion.seconds;
+        let velocity = Velocity {
+            speed: motion.to(&found.pose).translation.norm() / motion.seconds,
+            sigma: self.tracker.sigmas(&Rigid2::identity()).translation / motion.seconds,
+        };
         // What seems to stop where nothing tells the way may as well go on; what rested before does so still.
-        let still_rests = is_slow && self.guessed_way.rested();
+        let still_rests = velocity.is_rest() && self.guessed_way.rested();
         if still_rests || motion.is_measured() || found.left_open == LeftOpen::Nothing {
-            let velocity_sigma = self.tracker.sigmas(&Rigid2::identity()).translation / motion.seconds;
-            self.guessed_way.is_told(time, &found.pose, Velocity { sigma: velocity_sigma, is_slow });
+            self.guessed_way.is_told(time, &found.pose, velocity);
             return None;
         }
         let before = self.guessed_way.sigma(time - Duration::from_seconds(motion.seconds));
         self.guessed_way.is_guessed(time);
         let sigma = self.guessed_way.sigma(time);
-        if sigma > GUESS {
-            self.count(IssueKind::TravelGuessed, time);
-        }
         Some((sigma.powi(2) - before.powi(2)).max(0.0).sqrt())
     }
 }

@@ -1,0 +1,198 @@
+//! How far places of a finished map may be off where scans told nothing of the motion and no loop closure does.
+//!
+//! Where scans leave a direction open, odometry or constant velocity decides, and its errors gather. A loop closure takes
+//! them away. So what places may be off against the first one is what gathers on the way with the least of it, over the trajectory,
+//! over gaps and over loop closures.
+
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+
+use super::PoseGraph;
+use crate::{Constraint, NodeId, Space, of_trajectory};
+
+/// What the place that may be farthest off may be off against the first place that it is tied to: standard deviations of what was taken
+/// where scans told nothing.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Drift {
+    /// Metres.
+    pub translation: f64,
+    /// Radians.
+    pub rotation: f64,
+}
+
+/// With larger standard deviations, metres and radians, places of the map are not known.
+const LARGE: Drift = Drift { translation: 0.5, rotation: 0.175 };
+
+impl Drift {
+    /// Whether parts of the map lie where odometry or a guess has them, and may as well lie elsewhere.
+    pub fn is_large(&self) -> bool {
+        self.translation > LARGE.translation || self.rotation > LARGE.rotation
+    }
+}
+
+impl<S: Space> PoseGraph<S> {
+    /// How far places may be off where only odometry, or nothing, told the way to them (2D); known after the final optimisation.
+    pub fn drift(&self) -> Drift {
+        self.drift
+    }
+
+    pub(super) fn judge_drift(&self) -> Drift {
+        let ways = self.ways_of_drift();
+        Drift { translation: ways.farthest(|e| e.translation), rotation: ways.farthest(|e| e.rotation) }
+    }
+
+    fn ways_of_drift(&self) -> Ways {
+        let ids: Vec<NodeId> = self.state.nodes.keys().copied().collect();
+        let gathered = |id: &NodeId| self.gathered.get(id).copied().unwrap_or_default();
+        let mut ways = Ways::new(ids.len());
+        for (i, pair) in ids.windows(2).enumerate() {
+            let [a, b] = pair else { continue };
+            if a.trajectory_id == b.trajectory_id {
+                let (from, to) = (gathered(a), gathered(b));
+                let since = |to: f64, from: f64| (to - from).max(0.0);
+                ways.add(
+                    i,
+                    i + 1,
+                    since(to.translation, from.translation),
+                    since(to.rotation, from.rotation),
+                );
+            }
+        }
+        let index_of = |id: &NodeId| ids.binary_search(id).ok();
+        for (id, entry) in &self.state.trajectories {
+            let Some(gap) = entry.after_gap else { continue };
+            let last = of_trajectory(&self.state.nodes, gap.before).next_back();
+            let first = of_trajectory(&self.state.nodes, *id).next();
+            let is_believed = !gap.bridge.is_contradicted || self.is_tied_by_odometry(*id);
+            if let Some(((last, _), (first, _))) = last.zip(first).filter(|_| is_believed)
+                && let Some((a, b)) = index_of(&last).zip(index_of(&first))
+            {
+                ways.add(a, b, gap.bridge.translation.powi(2), gap.bridge.rotation.powi(2));
+            }
+        }
+        for constraint in self.state.constraints.iter().filter(|c| c.is_loop_closure()) {
+            let nearest = self.nearest_of_submap(constraint).filter(|_| !self.is_tie_over_gap(constraint));
+            if let Some((a, b)) = nearest.and_then(|id| index_of(&id)).zip(index_of(&constraint.node_id)) {
+                // One that leaves a direction open ties headings, but not places.
+                let translation = if constraint.open.is_some() { f64::INFINITY } else { 0.0 };
+                ways.add(a, b, translation, 0.0);
+            }
+        }
+        ways
+    }
+
+    fn is_tie_over_gap(&self, constraint: &Constraint) -> bool {
+        let id = constraint.node_id.trajectory_id;
+        let gap = self.state.trajectories.get(&id).and_then(|entry| entry.after_gap);
+        let is_first =
+            || of_trajectory(&self.state.nodes, id).next().is_some_and(|(n, _)| n == constraint.node_id);
+        let is_before = gap.is_some_and(|gap| gap.before == constraint.submap_id.trajectory_id);
+        self.is_tied_by_odometry(id) && is_before && is_first()
+    }
+
+    /// The node of a submap that lies nearest to where a loop closure has its node.
+    fn nearest_of_submap(&self, constraint: &Constraint) -> Option<NodeId> {
+        let at = |id: &NodeId| Some(self.problem.nodes.get(id)?.map_from_node.translation.vector);
+        let found = at(&constraint.node_id)?;
+        let nodes = &self.state.submaps.get(&constraint.submap_id)?.node_ids;
+        let distance = |id: &NodeId| Some(((at(id)? - found).norm_squared(), *id));
+        let nearest =
+            nodes.iter().filter_map(distance).min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        nearest.map(|(_, id)| id)
+    }
+}
+
+/// Variances on the way between two nodes.
+#[derive(Clone, Copy, Debug)]
+struct Way {
+    to: usize,
+    /// Metres².
+    translation: f64,
+    /// Radians².
+    rotation: f64,
+}
+
+/// Ways between nodes, which are counted from zero.
+struct Ways {
+    from: Vec<Vec<Way>>,
+}
+
+impl Ways {
+    fn new(nodes: usize) -> Self {
+        Self { from: vec![Vec::new(); nodes] }
+    }
+
+    fn add(&mut self, a: usize, b: usize, translation: f64, rotation: f64) {
+        for (from, to) in [(a, b), (b, a)] {
+            if let Some(ways) = self.from.get_mut(from) {
+                ways.push(Way { to, translation, rotation });
+            }
+        }
+    }
+
+    /// The standard deviation of the node that is farthest off the first one that it is tied to, by the ways with the least variance
+    /// (Dijkstra).
+    fn farthest(&self, variance: impl Fn(&Way) -> f64) -> f64 {
+        let mut is_reached = vec![false; self.from.len()];
+        let mut farthest: f64 = 0.0;
+        for start in 0..self.from.len() {
+            let mut waiting = BinaryHeap::from([Reached { variance: 0.0, at: start }]);
+            while let Some(Reached { variance: so_far, at }) = waiting.pop() {
+                match is_reached.get_mut(at) {
+                    Some(reached) if !*reached => *reached = true,
+                    _ => continue,
+                }
+                farthest = farthest.max(so_far);
+                for way in self.from.get(at).into_iter().flatten() {
+                    let next = so_far + variance(way);
+                    if next.is_finite() && is_reached.get(way.to) == Some(&false) {
+                        waiting.push(Reached { variance: next, at: way.to });
+                    }
+                }
+            }
+        }
+        farthest.sqrt()
+    }
+}
+
+/// The one with the least variance is the greatest.
+#[derive(PartialEq)]
+struct Reached {
+    variance: f64,
+    at: usize,
+}
+
+impl Eq for Reached {}
+
+impl Ord for Reached {
+    fn cmp(&self, other: &Self) -> Ordering {
+        other.variance.total_cmp(&self.variance).then(other.at.cmp(&self.at))
+    }
+}
+
+impl PartialOrd for Reached {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn loop_closures_take_away_what_gathered() {
+        let mut ways = Ways::new(6);
+        for i in 0..4 {
+            ways.add(i, i + 1, 0.04, 0.0001);
+        }
+        let metres = |ways: &Ways| ways.farthest(|way| way.translation);
+        let radians = |ways: &Ways| ways.farthest(|way| way.rotation);
+        assert!((metres(&ways) - 0.4).abs() < 1e-12 && (radians(&ways) - 0.02).abs() < 1e-12);
+        ways.add(0, 4, f64::INFINITY, 0.0);
+        assert!((metres(&ways) - 0.4).abs() < 1e-12, "such a loop closure tells no place");
+        assert!((radians(&ways) - 0.0002_f64.sqrt()).abs() < 1e-12);
+        ways.add(0, 4, 0.0, 0.0);
+        assert!((metres(&ways) - 0.08_f64.sqrt()).abs() < 1e-12);
+    }
+}
