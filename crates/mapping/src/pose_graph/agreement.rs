@@ -12,7 +12,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use portolan_geometry::{Rigid3, Vector3, rotation_angle};
-
 use portolan_submaps::SearchWindow;
 
 use super::PoseGraph;

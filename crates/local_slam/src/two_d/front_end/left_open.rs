@@ -11,6 +11,9 @@ use super::super::tracking::{Found, LeftOpen};
 use super::FrontEnd;
 use super::one_scan::Expected;
 
+/// Scans are at least so many seconds apart.
+const LEAST_INTERVAL: f64 = 1e-3;
+
 fn in_space(in_plane: Vector2) -> Vector3 {
     Vector3::new(in_plane.x, in_plane.y, 0.0)
 }
@@ -52,9 +55,10 @@ impl FrontEnd {
 
     /// What the last step adds to how far the way may be off, metres, if it is a guess.
     fn note_guess(&mut self, time: Time, motion: &Motion, found: &Found) -> Option<f64> {
+        let seconds = motion.seconds.max(LEAST_INTERVAL);
         let velocity = Velocity {
-            speed: motion.to(&found.pose).translation.norm() / motion.seconds,
-            sigma: self.tracker.sigmas(&Rigid2::identity()).translation / motion.seconds,
+            speed: motion.to(&found.pose).translation.norm() / seconds,
+            sigma: self.tracker.sigmas(&Rigid2::identity()).translation / seconds,
         };
         // What seems to stop where nothing tells the way may as well go on; what rested before does so still.
         let still_rests = velocity.is_rest() && self.guessed_way.rested();
