@@ -21,7 +21,7 @@ pub struct Drift {
 }
 
 /// With larger standard deviations, metres and radians, places of the map are not known.
-const LARGE: Drift = Drift { translation: 0.5, rotation: 0.175 };
+const LARGE: Drift = Drift { translation: 1.0, rotation: 0.175 };
 
 impl Drift {
     /// Whether parts of the map lie where odometry or a guess has them, and may as well lie elsewhere.
