@@ -66,3 +66,11 @@ pub struct InsertedNode<S: LocalSpace> {
     /// How the map without its scan agrees with the scan (2D); none where there is nothing to compare with.
     pub agreement: Option<ScanAgreement>,
 }
+
+impl<S: LocalSpace> InsertedNode<S> {
+    /// Of a scan that left nothing open, and of which no more is known.
+    pub fn new(data: Arc<NodeData>, submaps: Vec<InsertionSubmap<S>>) -> Self {
+        let (open, gathered) = (OpenDirections::default(), GatheredVariance::default());
+        Self { data, submaps, open, gathered, agreement: None }
+    }
+}

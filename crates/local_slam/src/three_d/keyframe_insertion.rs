@@ -81,13 +81,7 @@ impl KeyframeInsertion {
             local_from_tracking,
             range_data_in_local,
             measured: Vec::new(),
-            inserted: Some(InsertedNode {
-                data: Arc::new(data),
-                submaps,
-                open,
-                gathered: Default::default(),
-                agreement: None,
-            }),
+            inserted: Some(InsertedNode { open, ..InsertedNode::new(Arc::new(data), submaps) }),
             lost: None,
         }
     }

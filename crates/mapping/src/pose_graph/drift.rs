@@ -4,10 +4,8 @@
 //! them away. So what places may be off against the first one is what gathers on the way with the least of it, over the trajectory,
 //! over gaps and over loop closures.
 
-use std::cmp::Ordering;
-use std::collections::BinaryHeap;
-
 use super::PoseGraph;
+use super::shortest_ways::shortest_ways;
 use crate::{Constraint, NodeId, Space, of_trajectory};
 
 /// What the place that may be farthest off may be off against the first place that it is tied to: standard deviations of what was taken
@@ -130,49 +128,22 @@ impl Ways {
         }
     }
 
-    /// The standard deviation of the node that is farthest off the first one that it is tied to, by the ways with the least variance
-    /// (Dijkstra).
+    /// The standard deviation of the node that is farthest off the first one that it is tied to, by the ways with the least
+    /// variance.
     fn farthest(&self, variance: impl Fn(&Way) -> f64) -> f64 {
         let mut is_reached = vec![false; self.from.len()];
         let mut farthest: f64 = 0.0;
         for start in 0..self.from.len() {
-            let mut waiting = BinaryHeap::from([Reached { variance: 0.0, at: start }]);
-            while let Some(Reached { variance: so_far, at }) = waiting.pop() {
-                match is_reached.get_mut(at) {
-                    Some(reached) if !*reached => *reached = true,
-                    _ => continue,
-                }
-                farthest = farthest.max(so_far);
-                for way in self.from.get(at).into_iter().flatten() {
-                    let next = so_far + variance(way);
-                    if next.is_finite() && is_reached.get(way.to) == Some(&false) {
-                        waiting.push(Reached { variance: next, at: way.to });
-                    }
-                }
+            if is_reached.get(start) == Some(&true) {
+                continue;
+            }
+            let ways = |at: usize| self.from.get(at).into_iter().flatten().map(|way| (way.to, variance(way)));
+            for (at, variance) in shortest_ways(start, f64::MAX, ways) {
+                farthest = farthest.max(variance);
+                is_reached.get_mut(at).into_iter().for_each(|reached| *reached = true);
             }
         }
         farthest.sqrt()
-    }
-}
-
-/// The one with the least variance is the greatest.
-#[derive(PartialEq)]
-struct Reached {
-    variance: f64,
-    at: usize,
-}
-
-impl Eq for Reached {}
-
-impl Ord for Reached {
-    fn cmp(&self, other: &Self) -> Ordering {
-        other.variance.total_cmp(&self.variance).then(other.at.cmp(&self.at))
-    }
-}
-
-impl PartialOrd for Reached {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
     }
 }
 

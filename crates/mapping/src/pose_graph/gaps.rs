@@ -143,13 +143,7 @@ mod tests {
         };
         let finished = Some(Arc::new(submap(room)));
         let submaps = vec![InsertionSubmap { index: 0, local_from_submap: local, finished }];
-        InsertedNode {
-            data: Arc::new(data),
-            submaps,
-            open: Default::default(),
-            gathered: Default::default(),
-            agreement: None,
-        }
+        InsertedNode::new(Arc::new(data), submaps)
     }
 
     #[test]

@@ -197,16 +197,7 @@ mod tests {
             let data = NodeData { time: Time::from_unix_seconds(f64::from(id.0)), ..node(ROOM, (0.5, 0.2)) };
             let finished = Some(Arc::clone(&finished));
             let submaps = vec![InsertionSubmap { index: 0, local_from_submap: Rigid3::identity(), finished }];
-            graph.add_node(
-                id,
-                InsertedNode {
-                    data: Arc::new(data),
-                    submaps,
-                    open: Default::default(),
-                    gathered: Default::default(),
-                    agreement: None,
-                },
-            );
+            graph.add_node(id, InsertedNode::new(Arc::new(data), submaps));
         }
         graph
     }

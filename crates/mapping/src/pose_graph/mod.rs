@@ -27,6 +27,7 @@ mod renewing;
 mod sampling;
 mod search;
 mod self_consistency;
+mod shortest_ways;
 mod state;
 mod summary_ties;
 mod travel;

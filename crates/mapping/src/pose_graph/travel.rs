@@ -4,11 +4,11 @@
 //! loop is closed: the shortest way over the trajectory and over loop closures tells how widely a node has
 //! to be searched.
 
-use std::cmp::Ordering;
-use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+use std::collections::{BTreeMap, BTreeSet};
 
 use crate::{NodeId, Space, SubmapId, of_trajectory};
 
+use super::shortest_ways::shortest_ways;
 use super::state::GraphState;
 
 /// A loop closure counts as a path of so many metres: it is no more exact than that much of a trajectory.
@@ -127,43 +127,10 @@ fn connect(neighbours: &mut Neighbours, (a, b): (SubmapId, SubmapId), length: f6
     }
 }
 
-/// The shortest ways from one submap over the neighbours of all of these, up to `longest` (Dijkstra).
+/// The shortest ways from one submap over the neighbours of all of these, up to `longest`.
 fn shortest(start: SubmapId, neighbours: &[&Neighbours], longest: f64) -> BTreeMap<SubmapId, f64> {
-    let mut lengths = BTreeMap::new();
-    let mut waiting = BinaryHeap::from([Reached { length: 0.0, at: start }]);
-    while let Some(Reached { length, at }) = waiting.pop() {
-        if lengths.contains_key(&at) {
-            continue;
-        }
-        lengths.insert(at, length);
-        for (next, way) in neighbours.iter().filter_map(|n| n.get(&at)).flatten() {
-            if length + way <= longest && !lengths.contains_key(next) {
-                waiting.push(Reached { length: length + way, at: *next });
-            }
-        }
-    }
-    lengths
-}
-
-/// The nearest is the greatest.
-#[derive(PartialEq)]
-struct Reached {
-    length: f64,
-    at: SubmapId,
-}
-
-impl Eq for Reached {}
-
-impl Ord for Reached {
-    fn cmp(&self, other: &Self) -> Ordering {
-        other.length.total_cmp(&self.length).then(other.at.cmp(&self.at))
-    }
-}
-
-impl PartialOrd for Reached {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
+    let next_to = |at: SubmapId| neighbours.iter().filter_map(move |n| n.get(&at)).flatten();
+    shortest_ways(start, longest, |at| next_to(at).map(|(next, length)| (*next, *length)))
 }
 
 #[cfg(test)]

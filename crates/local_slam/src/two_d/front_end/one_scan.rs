@@ -243,6 +243,6 @@ impl FrontEnd {
             local_from_tracking,
             scan: self.extras.keep_scans.then(|| PlanarScan::new(scan)),
         });
-        InsertedNode { data, submaps, open: Default::default(), gathered: self.gathered, agreement: None }
+        InsertedNode { gathered: self.gathered, ..InsertedNode::new(data, submaps) }
     }
 }

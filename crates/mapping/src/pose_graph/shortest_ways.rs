@@ -1,0 +1,53 @@
+//! Shortest ways over a graph whose ways have lengths that add up.
+
+use std::cmp::Ordering;
+use std::collections::{BTreeMap, BinaryHeap};
+
+/// How long the shortest ways are from `start` to all places that ways no longer than `longest` lead to (Dijkstra).
+/// `ways` tells which places are next to one, and how long the ways there are, none of them shorter than nothing.
+pub(super) fn shortest_ways<K: Ord + Copy, W: IntoIterator<Item = (K, f64)>>(
+    start: K,
+    longest: f64,
+    ways: impl Fn(K) -> W,
+) -> BTreeMap<K, f64> {
+    let mut lengths = BTreeMap::new();
+    let mut waiting = BinaryHeap::from([Reached { length: 0.0, at: start }]);
+    while let Some(Reached { length, at }) = waiting.pop() {
+        if lengths.contains_key(&at) {
+            continue;
+        }
+        lengths.insert(at, length);
+        for (next, way) in ways(at) {
+            if length + way <= longest && !lengths.contains_key(&next) {
+                waiting.push(Reached { length: length + way, at: next });
+            }
+        }
+    }
+    lengths
+}
+
+/// The nearest is the greatest.
+struct Reached<K> {
+    length: f64,
+    at: K,
+}
+
+impl<K: Ord> PartialEq for Reached<K> {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other) == Ordering::Equal
+    }
+}
+
+impl<K: Ord> Eq for Reached<K> {}
+
+impl<K: Ord> Ord for Reached<K> {
+    fn cmp(&self, other: &Self) -> Ordering {
+        other.length.total_cmp(&self.length).then_with(|| other.at.cmp(&self.at))
+    }
+}
+
+impl<K: Ord> PartialOrd for Reached<K> {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
