@@ -22,10 +22,10 @@ pub use formats::{
 };
 pub use histogram::Histogram;
 pub use relations::{
-    GenerateOptions, GeneratedRelations, MapConstraint, MapGraph, RIGHT_WITHIN, Relation, RelationError,
-    RelationReport, TimeBaseNotice, at_times_of, generate_relations, in_time_base, loop_closure_relations,
-    read_binary_relations, read_relations, read_text_relations, relation_errors, write_binary_relations,
-    write_text_relations,
+    GenerateOptions, GeneratedRelations, IdInMap, MapConstraint, MapGraph, RIGHT_WITHIN, Relation,
+    RelationError, RelationReport, TimeBaseNotice, at_times_of, generate_relations, in_time_base,
+    loop_closure_relations, read_binary_relations, read_relations, read_text_relations, relation_errors,
+    write_binary_relations, write_text_relations,
 };
 pub use relative::{
     Drift, KITTI_LENGTHS, KITTI_STRIDE, RelativeErrors, SegmentErrors, Step, drift, relative_errors,

@@ -9,7 +9,9 @@ mod text;
 mod time_base;
 
 pub use binary::{read_binary_relations, write_binary_relations};
-pub use generate::{GenerateOptions, GeneratedRelations, MapConstraint, MapGraph, generate_relations};
+pub use generate::{
+    GenerateOptions, GeneratedRelations, IdInMap, MapConstraint, MapGraph, generate_relations,
+};
 pub use loop_closures::{RIGHT_WITHIN, at_times_of, loop_closure_relations};
 pub use metrics::{RelationError, RelationReport, relation_errors};
 pub use text::{read_text_relations, write_text_relations};

@@ -1,29 +1,34 @@
 //! Relations made from the loop closures of a map (`spec/tools.md` §1.2).
 
+use std::collections::BTreeMap;
+
 use portolan_geometry::{Rigid3, rotation_angle};
 
 use super::Relation;
 use crate::trajectory::covered_distances;
 use crate::{EvaluationError, TimedPose};
 
-/// What relations are made from: trajectory 0 of a map, in the order of the file.
+/// Trajectory and index of a node or a submap.
+pub type IdInMap = (u32, u32);
+
+/// What relations are made from.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MapGraph {
     /// Optimised nodes, tracking frame in the global map.
-    pub nodes: Vec<TimedPose>,
+    pub nodes: BTreeMap<IdInMap, TimedPose>,
     /// Optimised submaps in the global map.
-    pub map_from_submap: Vec<Rigid3>,
+    pub map_from_submap: BTreeMap<IdInMap, Rigid3>,
     /// Constraints in the order of the file.
     pub constraints: Vec<MapConstraint>,
 }
 
-/// A constraint as it stands in a file. Indices are positions in the lists of [`MapGraph`].
+/// A constraint as it stands in a file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapConstraint {
-    /// Trajectory and index of the submap.
-    pub submap: (u32, u32),
-    /// Trajectory and index of the node.
-    pub node: (u32, u32),
+    /// The submap.
+    pub submap: IdInMap,
+    /// The node.
+    pub node: IdInMap,
     /// The node was inserted into the submap; otherwise it was found in it.
     pub is_intra: bool,
     /// The node's tracking frame in the submap.
@@ -67,8 +72,11 @@ pub(super) fn bad(reason: impl Into<String>) -> EvaluationError {
     EvaluationError::BadMap(reason.into())
 }
 
-/// Every loop closure relates its node to the middle of its submap. Those that span enough of the trajectory
-/// and agree with the optimised map are taken for true.
+/// Every loop closure of a map of one trajectory relates its node to the middle of its submap. Those that span enough of the
+/// trajectory and agree with the optimised map are taken for true.
+///
+/// # Errors
+/// If a constraint names what is not there, or the map has more than one trajectory.
 pub fn generate_relations(
     map: &MapGraph,
     options: &GenerateOptions,
@@ -76,22 +84,27 @@ pub fn generate_relations(
     if map.nodes.is_empty() {
         return Err(bad("it has no nodes"));
     }
-    let covered = covered_distances(map.nodes.iter().map(|n| &n.map_from_tracking));
+    let is_of_one = |c: &MapConstraint| c.submap.0 == 0 && c.node.0 == 0;
+    if !map.constraints.iter().all(is_of_one) {
+        return Err(bad("it has constraints of more than one trajectory"));
+    }
+    let covered = covered_distances(map.nodes.values().map(|n| &n.map_from_tracking));
+    let covered: BTreeMap<IdInMap, f64> = map.nodes.keys().copied().zip(covered).collect();
     let representatives = representative_nodes(map)?;
     let mut generated = GeneratedRelations { relations: Vec::new(), outliers: 0 };
     for constraint in map.constraints.iter().filter(|c| !c.is_intra) {
-        let (submap_index, a) = indices(constraint)?;
-        let Some(b) = representatives.get(submap_index).copied() else { continue };
+        let (submap_id, a) = (constraint.submap, constraint.node);
+        let Some(b) = representatives.get(submap_id.1 as usize).copied() else { continue };
         let (node_a, node_b) = (node(map, a)?, node(map, b)?);
-        let covered_at = |i: usize| covered.get(i).copied().unwrap_or_default();
+        let covered_at = |id: IdInMap| covered.get(&id).copied().unwrap_or_default();
         let covered_distance = (covered_at(a) - covered_at(b)).abs();
         if covered_distance < options.min_covered_distance {
             continue;
         }
         let map_from_submap = map
             .map_from_submap
-            .get(submap_index)
-            .ok_or_else(|| bad(format!("a constraint names submap {submap_index}, which is not there")))?;
+            .get(&submap_id)
+            .ok_or_else(|| bad(format!("a constraint names submap {}, which is not there", submap_id.1)))?;
         let b_from_map = node_b.map_from_tracking.inverse();
         let expected_1_from_2 = product(&product(&b_from_map, map_from_submap), &constraint.submap_from_node);
         let error = product(&(b_from_map * node_a.map_from_tracking), &expected_1_from_2.inverse());
@@ -120,10 +133,10 @@ fn product(a: &Rigid3, b: &Rigid3) -> Rigid3 {
 
 /// For each submap but the last the first node of the next one: the middle of the submap, because
 /// submaps overlap by half.
-fn representative_nodes(map: &MapGraph) -> Result<Vec<usize>, EvaluationError> {
+fn representative_nodes(map: &MapGraph) -> Result<Vec<IdInMap>, EvaluationError> {
     let mut representatives = Vec::new();
     for constraint in map.constraints.iter().filter(|c| c.is_intra) {
-        let (submap_index, node_index) = indices(constraint)?;
+        let submap_index = constraint.submap.1 as usize;
         if submap_index <= representatives.len() {
             continue;
         }
@@ -133,21 +146,13 @@ fn representative_nodes(map: &MapGraph) -> Result<Vec<usize>, EvaluationError> {
                 representatives.len() + 1
             )));
         }
-        representatives.push(node_index);
+        representatives.push(constraint.node);
     }
     Ok(representatives)
 }
 
-/// Submap and node index; only trajectory 0 is allowed.
-pub(super) fn indices(constraint: &MapConstraint) -> Result<(usize, usize), EvaluationError> {
-    if constraint.submap.0 != 0 || constraint.node.0 != 0 {
-        return Err(bad("it has constraints of more than one trajectory"));
-    }
-    Ok((constraint.submap.1 as usize, constraint.node.1 as usize))
-}
-
-pub(super) fn node(map: &MapGraph, index: usize) -> Result<&TimedPose, EvaluationError> {
-    map.nodes.get(index).ok_or_else(|| bad(format!("a constraint names node {index}, which is not there")))
+pub(super) fn node(map: &MapGraph, id: IdInMap) -> Result<&TimedPose, EvaluationError> {
+    map.nodes.get(&id).ok_or_else(|| bad(format!("a constraint names node {}, which is not there", id.1)))
 }
 
 #[cfg(test)]
@@ -162,10 +167,10 @@ mod tests {
         let pose = |i: u32| {
             Rigid3::new(Vector3::new(position(i), 0.0, 0.0), Vector3::z() * if i < 40 { 0.0 } else { 3.1 })
         };
-        let nodes: Vec<TimedPose> = (0..80)
-            .map(|i| TimedPose { time: Time::from_ticks(1000 * i64::from(i)), map_from_tracking: pose(i) })
-            .collect();
-        let map_from_submap: Vec<Rigid3> = (0..15).map(|k| pose(5 * k)).collect();
+        let time = |i: u32| Time::from_ticks(1000 * i64::from(i));
+        let node = |i: u32| ((0, i), TimedPose { time: time(i), map_from_tracking: pose(i) });
+        let nodes = (0..80).map(node).collect();
+        let map_from_submap = (0..15).map(|k| ((0, k), pose(5 * k))).collect();
         let mut constraints = Vec::new();
         let constraint = |submap: u32, node: u32, is_intra| MapConstraint {
             submap: (0, submap),
@@ -226,7 +231,7 @@ mod tests {
         trimmed.constraints.retain(|c| c.submap.1 != 3 || !c.is_intra);
         assert!(error(trimmed).contains("first node of submap 3"));
         let mut cut = map();
-        cut.nodes.truncate(70);
+        cut.nodes.retain(|id, _| id.1 < 70);
         assert!(error(cut).contains("node 70"));
     }
 }

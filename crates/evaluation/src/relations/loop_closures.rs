@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use portolan_geometry::{Duration, Rigid3, Time};
 
-use super::generate::{MapConstraint, MapGraph, bad, indices, node};
+use super::generate::{IdInMap, MapConstraint, MapGraph, bad, node};
 use super::{Relation, RelationReport};
 use crate::{EvaluationError, Trajectory};
 
@@ -17,32 +17,35 @@ pub const RIGHT_WITHIN: (f64, f64) = (0.2, 3.0);
 /// submap is then hardly in the figures.
 ///
 /// # Errors
-/// If a constraint names what is not there, or the map has more than one trajectory.
+/// If a constraint names what is not there.
 pub fn loop_closure_relations(map: &MapGraph) -> Result<Vec<Relation>, EvaluationError> {
-    let mut own_nodes: BTreeMap<usize, Vec<(usize, Rigid3)>> = BTreeMap::new();
+    let mut own_nodes: OwnNodes = BTreeMap::new();
     for constraint in map.constraints.iter().filter(|c| c.is_intra) {
-        let (submap, node) = indices(constraint)?;
-        own_nodes.entry(submap).or_default().push((node, constraint.submap_from_node));
+        own_nodes.entry(constraint.submap).or_default().push((constraint.node, constraint.submap_from_node));
     }
     let loops = map.constraints.iter().filter(|c| !c.is_intra);
     loops.map(|constraint| relation(map, constraint, &own_nodes)).collect()
 }
 
+/// The nodes of each submap, and where they lie in it.
+type OwnNodes = BTreeMap<IdInMap, Vec<(IdInMap, Rigid3)>>;
+
 fn relation(
     map: &MapGraph,
     constraint: &MapConstraint,
-    own_nodes: &BTreeMap<usize, Vec<(usize, Rigid3)>>,
+    own_nodes: &OwnNodes,
 ) -> Result<Relation, EvaluationError> {
-    let (submap, found) = indices(constraint)?;
     let place = constraint.submap_from_node.translation.vector;
-    let distance = |(_, pose): &&(usize, Rigid3)| (pose.translation.vector - place).norm();
+    let distance = |(_, pose): &&(IdInMap, Rigid3)| (pose.translation.vector - place).norm();
     let nearest = own_nodes
-        .get(&submap)
+        .get(&constraint.submap)
         .and_then(|nodes| nodes.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))))
-        .ok_or_else(|| bad(format!("submap {submap} has a loop closure and no node of its own")))?;
+        .ok_or_else(|| {
+            bad(format!("submap {:?} has a loop closure and no node of its own", constraint.submap))
+        })?;
     Ok(Relation {
         time1: node(map, nearest.0)?.time,
-        time2: node(map, found)?.time,
+        time2: node(map, constraint.node)?.time,
         expected_1_from_2: nearest.1.inverse() * constraint.submap_from_node,
         covered_distance: 0.0,
     })
@@ -103,7 +106,8 @@ mod tests {
         constraints.push(constraint(0, 20, false, Rigid3::translation(0.05, 0.0, 0.0)));
         constraints.push(constraint(0, 22, false, Rigid3::translation(1.5, 0.0, 0.0)));
         constraints.push(constraint(0, 23, false, Rigid3::rotation(Vector3::z() * 0.1)));
-        let map = MapGraph { nodes: nodes.clone(), map_from_submap: vec![pose(0)], constraints };
+        let by_id = (0..).zip(&nodes).map(|(i, node)| ((0, i), *node)).collect();
+        let map = MapGraph { nodes: by_id, map_from_submap: [((0, 0), pose(0))].into(), constraints };
         let relations = loop_closure_relations(&map).unwrap();
         assert_eq!(relations.len(), 3);
         assert_eq!(relations[0].time1, Time::from_ticks(9));
@@ -136,9 +140,9 @@ mod tests {
 
     #[test]
     fn a_loop_closure_of_a_submap_without_nodes_is_an_error() {
-        let nodes = vec![TimedPose { time: Time::from_ticks(0), map_from_tracking: pose(0) }];
+        let nodes = [((0, 0), TimedPose { time: Time::from_ticks(0), map_from_tracking: pose(0) })].into();
         let constraints = vec![constraint(0, 0, false, Rigid3::identity())];
-        let map = MapGraph { nodes, map_from_submap: vec![pose(0)], constraints };
+        let map = MapGraph { nodes, map_from_submap: [((0, 0), pose(0))].into(), constraints };
         assert!(loop_closure_relations(&map).is_err());
     }
 }

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::io::Write;
 
-use portolan_geometry::{Rigid3, rotation_angle};
+use portolan_geometry::{Rigid3, Time, rotation_angle};
 use portolan_numeric::format_general;
 use serde::Serialize;
 
@@ -112,10 +112,28 @@ impl RelationReport {
     }
 
     /// Writes the table of Cartographer's tool, one row per relation.
-    pub fn write_csv(&self, mut writer: impl Write) -> std::io::Result<()> {
+    pub fn write_csv(&self, writer: impl Write) -> std::io::Result<()> {
+        self.write_rows(writer, |_| String::new(), "")
+    }
+
+    /// The same, with both times of each relation, seconds since 1970, in front.
+    pub fn write_csv_with_times(&self, writer: impl Write) -> std::io::Result<()> {
+        let times = |relation: &Relation| {
+            let [first, second] = [relation.time1, relation.time2].map(Time::unix_decimal);
+            format!("{first},{second},")
+        };
+        self.write_rows(writer, times, "time1,time2,")
+    }
+
+    fn write_rows(
+        &self,
+        mut writer: impl Write,
+        in_front: impl Fn(&Relation) -> String,
+        names_in_front: &str,
+    ) -> std::io::Result<()> {
         writeln!(
             writer,
-            "translational_error,squared_translational_error,rotational_errors_degree,\
+            "{names_in_front}translational_error,squared_translational_error,rotational_errors_degree,\
              squared_rotational_errors_degree,expected_translation_x,expected_translation_y,\
              expected_translation_z,expected_rotation_w,expected_rotation_x,expected_rotation_y,\
              expected_rotation_z,covered_distance"
@@ -125,11 +143,8 @@ impl RelationReport {
             let q = e.relation.expected_1_from_2.rotation;
             let (d, a) = (e.translation, e.rotation_degrees);
             let row = [d, d * d, a, a * a, t.x, t.y, t.z, q.w, q.i, q.j, q.k, e.relation.covered_distance];
-            writeln!(
-                writer,
-                "{}",
-                row.map(|v| format_general(if v.is_nan() { f64::NAN } else { v }, 6)).join(",")
-            )?;
+            let row = row.map(|v| format_general(if v.is_nan() { f64::NAN } else { v }, 6)).join(",");
+            writeln!(writer, "{}{row}", in_front(&e.relation))?;
         }
         Ok(())
     }
@@ -179,6 +194,12 @@ mod tests {
             "translational_error,squared_translational_error,rotational_errors_degree,squared_"
         ));
         assert_eq!(csv.lines().nth(1), Some("0.1,0.01,0,0,4.9,0,0,1,0,0,0,1.23457e+06"));
+        let mut with_times = Vec::new();
+        report.write_csv_with_times(&mut with_times).unwrap();
+        let with_times = String::from_utf8(with_times).unwrap();
+        for (row, line) in with_times.lines().zip(csv.lines()) {
+            assert_eq!(row.splitn(3, ',').last(), Some(line));
+        }
     }
 
     #[test]

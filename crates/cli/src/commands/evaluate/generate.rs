@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use portolan::trajectory_file::{damaged_behind_poses, nodes, trajectory_of, whole_pose_graph_from};
+use portolan::trajectory_file::{damaged_behind_poses, nodes, whole_pose_graph_from};
 use portolan_evaluation::{
-    GenerateOptions, MapConstraint, MapGraph, generate_relations, write_binary_relations,
+    GenerateOptions, IdInMap, MapConstraint, MapGraph, generate_relations, write_binary_relations,
     write_text_relations,
 };
 use portolan_pbstream::proto::mapping::pose_graph::{Constraint, constraint::Tag};
@@ -86,20 +86,30 @@ pub fn read_map_graph(path: &Path) -> Result<MapGraph, CliError> {
     if let Some(damage) = damage {
         say(&format!("{}: {}", path.display(), damaged_behind_poses(&damage)));
     }
-    let submaps = &trajectory_of(path, &pose_graph, 0)?.submap;
-    let map_from_submap = submaps.iter().map(|submap| {
-        let missing = || CliError::in_file(path, format!("submap {} has no valid pose", submap.submap_index));
-        pose_from_proto(submap.pose.as_ref()).ok_or_else(missing)
-    });
-    Ok(MapGraph {
-        nodes: nodes(path, &pose_graph, 0)?,
-        map_from_submap: map_from_submap.collect::<Result<_, _>>()?,
-        constraints: pose_graph
-            .constraint
-            .iter()
-            .map(|constraint| map_constraint(path, constraint))
-            .collect::<Result<_, _>>()?,
-    })
+    let mut map = MapGraph::default();
+    for trajectory in &pose_graph.trajectory {
+        let id = |index: i32| id_in_map(path, (trajectory.trajectory_id, index));
+        let poses = nodes(path, &pose_graph, trajectory.trajectory_id)?;
+        for (node, pose) in trajectory.node.iter().zip(poses) {
+            map.nodes.insert(id(node.node_index)?, pose);
+        }
+        for submap in &trajectory.submap {
+            let missing =
+                || CliError::in_file(path, format!("submap {} has no valid pose", submap.submap_index));
+            let pose = pose_from_proto(submap.pose.as_ref()).ok_or_else(missing)?;
+            map.map_from_submap.insert(id(submap.submap_index)?, pose);
+        }
+    }
+    let constraints = pose_graph.constraint.iter().map(|constraint| map_constraint(path, constraint));
+    map.constraints = constraints.collect::<Result<_, _>>()?;
+    Ok(map)
+}
+
+fn id_in_map(path: &Path, id: IdInFile) -> Result<IdInMap, CliError> {
+    match (u32::try_from(id.0), u32::try_from(id.1)) {
+        (Ok(trajectory), Ok(index)) => Ok((trajectory, index)),
+        _ => Err(CliError::in_file(path, format!("{id:?} is a negative id"))),
+    }
 }
 
 fn map_constraint(path: &Path, constraint: &Constraint) -> Result<MapConstraint, CliError> {
@@ -107,13 +117,9 @@ fn map_constraint(path: &Path, constraint: &Constraint) -> Result<MapConstraint,
     let bad = |what: &str| {
         CliError::in_file(path, format!("the constraint of submap {submap:?} and node {node:?} has {what}"))
     };
-    let id = |id: IdInFile| match (u32::try_from(id.0), u32::try_from(id.1)) {
-        (Ok(trajectory), Ok(index)) => Ok((trajectory, index)),
-        _ => Err(bad("a negative id")),
-    };
     Ok(MapConstraint {
-        submap: id(submap)?,
-        node: id(node)?,
+        submap: id_in_map(path, submap)?,
+        node: id_in_map(path, node)?,
         is_intra: constraint.tag() == Tag::IntraSubmap,
         submap_from_node: pose_from_proto(constraint.relative_pose.as_ref())
             .ok_or_else(|| bad("no valid pose"))?,

@@ -28,11 +28,11 @@ const LONGEST_WAY: f64 = 2.5;
     after_help = "Example:\n  portolan evaluate loops walk/map.pbstream walk.truth.tum --csv loops.csv"
 )]
 pub struct LoopsArgs {
-    /// Map (.pbstream) of one trajectory.
+    /// Map (.pbstream).
     map: PathBuf,
     /// True trajectory: TUM, KITTI poses, a table with a line of names, or a map.
     truth: PathBuf,
-    /// Also write the error of each loop closure as a table.
+    /// Also write the error of each loop closure as a table, with the two times that it relates.
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
     /// Print JSON.
@@ -50,7 +50,7 @@ pub fn run(args: &LoopsArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     }
     let (in_time, notice) = in_time_base(&truth, &loops)?;
     let offset = notice.as_ref().map_or(Duration::ZERO, |notice| notice.offset);
-    let estimate = Trajectory::new(map.nodes.iter().copied()).0.shifted(offset);
+    let estimate = Trajectory::new(map.nodes.values().copied()).0.shifted(offset);
     let judged = at_times_of(&truth, &estimate, &in_time, Duration::from_seconds(LONGEST_WAY));
     let left_out = loops.len() - judged.len();
     if left_out > 0 && !global.quiet {
@@ -62,7 +62,7 @@ pub fn run(args: &LoopsArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let loops = judged;
     let report = relation_errors(&truth, &loops)?;
     if let Some(path) = &args.csv {
-        write_file(path, |out| report.write_csv(out))?;
+        write_file(path, |out| report.write_csv_with_times(out))?;
     }
     if let Some(notice) = notice.filter(|_| !global.quiet) {
         say(&notice.to_string());
