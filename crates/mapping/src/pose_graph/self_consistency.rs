@@ -86,30 +86,40 @@ impl<S: Space> PoseGraph<S> {
     /// none if there is no such submap. Parts that nothing ties together are not compared.
     fn is_contradicted(&self, id: NodeId) -> Option<bool> {
         let (node, place) = (self.state.nodes.get(&id)?, self.problem.nodes.get(&id)?);
-        let others = self.state.submaps.iter().filter(|(submap_id, entry)| {
-            !entry.node_ids.contains(&id)
-                && self.state.connectivity.are_connected(submap_id.trajectory_id, id.trajectory_id)
-        });
-        let (mut known, mut contradicting) = (0, 0);
-        for (submap_id, entry) in others {
-            let (Some(submap), Some(map_from_submap)) = (&entry.submap, self.problem.submaps.get(submap_id))
+        let (mut known, mut contradicting) = (0, Vec::new());
+        for (submap_id, entry) in &self.state.submaps {
+            let is_compared = !entry.node_ids.contains(&id)
+                && self.state.connectivity.are_connected(submap_id.trajectory_id, id.trajectory_id);
+            let (true, Some(submap), Some(map_from_submap)) =
+                (is_compared, entry.submap.as_deref(), self.problem.submaps.get(submap_id))
             else {
                 continue;
             };
             let submap_from_node = map_from_submap.inverse() * place.map_from_node;
             let Some(agreement) = S::agreement(submap, &node.data, &submap_from_node) else { continue };
-            if agreement.explained + agreement.contradicted() >= KNOWN {
-                known += 1;
-                let agrees_near_by = || {
-                    near_by().any(|offset| {
-                        let pose = submap_from_node * offset;
-                        S::agreement(submap, &node.data, &pose).is_none_or(|there| !refutes_place(&there))
-                    })
-                };
-                contradicting += u32::from(refutes_place(&agreement) && !agrees_near_by());
+            if agreement.explained + agreement.contradicted() < KNOWN {
+                continue;
+            }
+            known += 1;
+            if refutes_place(&agreement) {
+                contradicting.push((submap, submap_from_node));
             }
         }
-        (known > 0).then_some(2 * contradicting >= known)
+        let fits_near_by = |submap: &S::Submap, submap_from_node: &Rigid3| {
+            near_by().any(|offset| {
+                let agreement = S::agreement(submap, &node.data, &(submap_from_node * offset));
+                agreement.is_none_or(|agreement| !refutes_place(&agreement))
+            })
+        };
+        let is_half = |count: usize| 2 * count >= known;
+        let mut count = contradicting.len();
+        for (submap, submap_from_node) in &contradicting {
+            if !is_half(count) {
+                break;
+            }
+            count -= usize::from(fits_near_by(submap, submap_from_node));
+        }
+        (known > 0).then_some(is_half(count))
     }
 }
 
