@@ -11,7 +11,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use portolan_geometry::{Rigid3, Vector3, rotation_angle};
+use portolan_geometry::{Quaternion, Rigid3, Vector3, rotation_angle};
 use portolan_submaps::SearchWindow;
 
 use super::PoseGraph;
@@ -49,6 +49,8 @@ struct WaitingMatch {
     place_in_later: Vector3,
     /// The direction along which it does not tell the place, in the map frame of the earlier part.
     open: Option<OpenShift>,
+    /// Turns directions in that frame to those in the frame of the node.
+    node_from_earlier: Quaternion,
     /// Odometry told of the motion between the parts, and about the same.
     is_where_odometry_says: bool,
     /// How far its node is along its trajectory, metres.
@@ -133,27 +135,25 @@ impl<S: Space> PoseGraph<S> {
             |c: &Constraint| c.open.is_none() || travel.is_tied((c.submap_id, c.node_id), SHORT_WAY);
         let within_part = |c: &Constraint| self.is_within_part(c).then(|| self.bending_match(c)).flatten();
         let matches: Vec<Option<WaitingMatch>> = waiting.iter().map(within_part).collect();
-        let needed = self.policy.min_agreeing;
-        let is_supported = |of: &WaitingMatch| {
-            let agreeing = matches.iter().flatten().filter(|m| agree(m, of));
-            agreeing.map(|m| m.constraint.node_id).collect::<BTreeSet<NodeId>>().len() >= needed
-        };
         let fits = |c: &Constraint| self.fits(c) && is_placed(c);
-        let supported: Vec<bool> = matches
+        let taken: Vec<Option<Constraint>> = matches
             .iter()
-            .map(|m| m.as_ref().is_some_and(|m| fits(&m.constraint) || is_supported(m)))
+            .map(|m| match m.as_ref()? {
+                m if fits(&m.constraint) => Some(m.constraint.clone()),
+                m => supported(m, matches.iter().flatten(), self.policy.min_agreeing),
+            })
             .collect();
-        for (constraint, is_supported) in waiting.into_iter().zip(&supported) {
-            if *is_supported {
-                self.take(constraint);
-            } else {
-                self.waiting.unsupported.push(constraint);
+        let count = taken.iter().flatten().count();
+        for (constraint, taken) in waiting.into_iter().zip(taken) {
+            match taken {
+                Some(taken) => self.take(taken),
+                None => self.waiting.unsupported.push(constraint),
             }
         }
         let superfluous = self.waiting.unsupported.len().saturating_sub(MOST_UNSUPPORTED);
         self.waiting.unsupported.drain(..superfluous);
         self.waiting.forgotten += superfluous;
-        supported.iter().filter(|is_supported| **is_supported).count()
+        count
     }
 
     /// How a loop closure would bend the map: what was mapped later moves relative to what was mapped earlier.
@@ -166,7 +166,8 @@ impl<S: Space> PoseGraph<S> {
             false => self.problem.nodes.get(&constraint.node_id)?.map_from_node,
         };
         let turned = |open: OpenShift| OpenShift { direction: earlier_from_node.rotation * open.direction };
-        Some(WaitingMatch { open: constraint.open.map(turned), ..waiting })
+        let node_from_earlier = earlier_from_node.rotation.inverse();
+        Some(WaitingMatch { open: constraint.open.map(turned), node_from_earlier, ..waiting })
     }
 
     /// Where a match says that the later of what it relates lies, the node or the submap.
@@ -185,6 +186,7 @@ impl<S: Space> PoseGraph<S> {
             earlier_from_later,
             place_in_later,
             open: None,
+            node_from_earlier: Quaternion::identity(),
             is_where_odometry_says: false,
             way: self.ways.get(&constraint.node_id).copied().unwrap_or(0.0),
         })
@@ -317,6 +319,33 @@ fn agreed(
     Some(std::mem::take(waiting))
 }
 
+/// What of a loop closure that would bend the map those say, too, that wait with it: scans of at least `needed` nodes. Where all who
+/// agree, but for fewer, leave the place along a direction open, it is believed across that alone.
+fn supported<'a>(
+    of: &WaitingMatch,
+    waiting: impl Iterator<Item = &'a WaitingMatch>,
+    needed: usize,
+) -> Option<Constraint> {
+    let agreeing: Vec<&WaitingMatch> = waiting.filter(|m| agree(m, of)).collect();
+    let nodes = |leaves_open: &dyn Fn(&WaitingMatch) -> bool| {
+        let telling = agreeing.iter().filter(|m| !leaves_open(m));
+        telling.map(|m| m.constraint.node_id).collect::<BTreeSet<NodeId>>().len()
+    };
+    if nodes(&|_| false) < needed {
+        return None;
+    }
+    let is_along = |m: &WaitingMatch, direction: &Vector3| {
+        m.open.is_some_and(|open| open.direction.dot(direction).abs() >= PARALLEL)
+    };
+    let directions = agreeing.iter().filter_map(|m| m.open).map(|open| open.direction);
+    let least = directions
+        .map(|direction| (nodes(&|m| is_along(m, &direction)), direction))
+        .min_by_key(|(nodes, _)| *nodes)
+        .filter(|(nodes, _)| of.open.is_none() && *nodes < needed);
+    let open = least.map(|(_, direction)| OpenShift { direction: of.node_from_earlier * direction });
+    Some(Constraint { open: open.or(of.constraint.open), ..of.constraint.clone() })
+}
+
 fn agree(a: &WaitingMatch, b: &WaitingMatch) -> bool {
     agree_within(a, b, NO_DRIFT)
 }
@@ -336,8 +365,6 @@ fn agree_within(a: &WaitingMatch, b: &WaitingMatch, drift: SearchWindow) -> bool
 
 #[cfg(test)]
 mod tests {
-    use portolan_geometry::{Quaternion, Vector3};
-
     use super::*;
     use crate::{ConstraintTag, SubmapId};
 
@@ -361,6 +388,7 @@ mod tests {
             earlier_from_later,
             place_in_later: Vector3::zeros(),
             open: None,
+            node_from_earlier: Quaternion::identity(),
             is_where_odometry_says: false,
             way: 0.0,
         }
@@ -410,6 +438,23 @@ mod tests {
         assert!(agree(&at(1, 6.0, 0.0), &along(Vector3::x())));
         assert!(!agree(&along(Vector3::y()), &at(1, 6.0, 0.0)));
         assert!(!agree(&along(Vector3::x()), &at(1, 1.0, 0.2)));
+    }
+
+    #[test]
+    fn what_is_open_supports_across_alone() {
+        let along = |node, direction: Vector3| WaitingMatch {
+            open: Some(OpenShift { direction }),
+            ..at(node, 0.0, 0.0)
+        };
+        let of = |waiting: &[WaitingMatch]| supported(&at(0, 0.1, 0.0), waiting.iter(), 3).map(|c| c.open);
+        let full = [0, 1, 2].map(|node| at(node, 0.0, 0.0));
+        assert_eq!(of(&full[..2]), None);
+        assert_eq!(of(&full), Some(None));
+        let [x, y] = [Vector3::x(), Vector3::y()];
+        let one_way = [at(0, 0.1, 0.0), along(1, x), along(2, x)];
+        assert_eq!(of(&one_way), Some(Some(OpenShift { direction: x })));
+        let both_ways = [at(0, 0.1, 0.0), along(1, x), along(2, x), along(3, y), along(4, y)];
+        assert_eq!(of(&both_ways), Some(None));
     }
 
     #[test]
