@@ -118,6 +118,19 @@ mod tests {
     }
 
     #[test]
+    fn loop_closures_between_trajectories_are_judged_too() {
+        let at = |i: u32| TimedPose { time: Time::from_ticks(i64::from(i)), map_from_tracking: pose(i) };
+        let nodes = (0..10).map(|i| ((0, i), at(i))).chain((0..5).map(|i| ((1, i), at(20 + i)))).collect();
+        let mut constraints: Vec<MapConstraint> =
+            (0..10).map(|i| constraint(0, i, true, Rigid3::identity())).collect();
+        let found = constraint(0, 24, false, Rigid3::identity());
+        constraints.push(MapConstraint { node: (1, 4), ..found });
+        let map = MapGraph { nodes, map_from_submap: [((0, 0), pose(0))].into(), constraints };
+        let relations = loop_closure_relations(&map).unwrap();
+        assert_eq!([relations[0].time1, relations[0].time2], [9, 24].map(Time::from_ticks));
+    }
+
+    #[test]
     fn sparse_truth_is_met_at_its_own_times() {
         let at = |i: i64| Time::from_ticks(10_000_000 * i);
         let all: Vec<TimedPose> =

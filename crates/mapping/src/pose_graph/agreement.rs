@@ -201,12 +201,14 @@ impl<S: Space> PoseGraph<S> {
     /// map agrees, and there are no other places that look alike so near; the rest is said to lie along it where the map
     /// says. Returns whether there were any.
     pub(super) fn settle_open_loop_closures(&mut self) -> bool {
+        let travel = TravelGraph::new(&self.state, &self.ways);
         let mut constraints = std::mem::take(&mut self.state.constraints);
         let mut is_any = false;
         for constraint in &mut constraints {
             let (Some(open), Some(error)) = (constraint.open, self.error_of(constraint)) else { continue };
             let along = open.direction.dot(&error.translation.vector);
-            if along.abs() <= MAX_TRANSLATION {
+            let is_tied = travel.is_tied((constraint.submap_id, constraint.node_id), SHORT_WAY);
+            if along.abs() <= MAX_TRANSLATION && is_tied {
                 constraint.open = None;
                 is_any = true;
             } else {
