@@ -17,7 +17,7 @@ impl<S: Space> MappedRecording<S> {
             let outcome = if self.is_tied_by_odometry(loss) {
                 "the trajectory after it lies where odometry says, and no scan confirms it"
             } else if loss.piece.is_none() {
-                "the trajectory ends there, and its last poses are guesses"
+                "the trajectory ends there"
             } else if self.is_apart(loss) {
                 "the trajectory after it is not connected to the rest of the map, which overlaps it wrongly"
             } else {
@@ -30,7 +30,12 @@ impl<S: Space> MappedRecording<S> {
             };
             let what = match loss.is_gap {
                 true => format!("no scans {when}"),
-                false => format!("lost {when}: scans did not fit the map any more"),
+                false => match self.scans_without_pose(loss) {
+                    0 => format!("lost {when}: scans did not fit the map any more"),
+                    n => format!(
+                        "lost {when}: scans did not fit the map any more, and {n} of them have no pose"
+                    ),
+                },
             };
             format!("{what}; {outcome}\n")
         });

@@ -123,14 +123,46 @@ impl<S: Space> MappedRecording<S> {
         self.issues.count_of(IssueKind::GraphUnsound) == 0
     }
 
-    /// Pose of the tracking frame in the map for every scan, each under the time of its message in the
-    /// recording, in order of that. Poses that are none are left out.
-    pub fn trajectory(&self) -> Vec<(Time, Rigid3)> {
-        let recorded = |time: Time| self.recorded_times.get(&time).copied().unwrap_or(time);
-        let poses = self.pieces().into_iter().flat_map(|id| sound_poses(self.map.scan_poses(id)));
-        let mut poses: Vec<_> = poses.map(|(time, pose)| (recorded(time), pose)).collect();
+    /// Pose of the tracking frame in the map for every scan of which it is known, under the times that scans have in the map, in
+    /// order of that. Scans that fitted nowhere have none, and poses that are none are left out.
+    pub fn scan_poses(&self) -> Vec<(Time, Rigid3)> {
+        self.scan_poses_of(self.pieces())
+    }
+
+    /// Those of the first piece, and of others that are connected with it: what lies where in one map.
+    pub fn connected_scan_poses(&self) -> Vec<(Time, Rigid3)> {
+        let connectivity = &self.map.graph.state().connectivity;
+        let is_connected = |id: &TrajectoryId| {
+            *id == self.trajectory_id || connectivity.are_connected(*id, self.trajectory_id)
+        };
+        self.scan_poses_of(self.pieces().into_iter().filter(is_connected))
+    }
+
+    fn scan_poses_of(&self, pieces: impl IntoIterator<Item = TrajectoryId>) -> Vec<(Time, Rigid3)> {
+        let poses = pieces.into_iter().flat_map(|id| sound_poses(self.map.scan_poses(id)));
+        let mut poses: Vec<_> = poses.filter(|(time, _)| self.has_pose(*time)).collect();
         poses.sort_by_key(|(time, _)| *time);
         poses
+    }
+
+    /// The same, each under the time of its message in the recording.
+    pub fn trajectory(&self) -> Vec<(Time, Rigid3)> {
+        let recorded = |time: Time| self.recorded_times.get(&time).copied().unwrap_or(time);
+        let mut poses = self.scan_poses();
+        poses.iter_mut().for_each(|(time, _)| *time = recorded(*time));
+        poses.sort_by_key(|(time, _)| *time);
+        poses
+    }
+
+    /// Whether the place of scans of this time is known, better or worse.
+    fn has_pose(&self, time: Time) -> bool {
+        !self.losses.iter().any(|loss| loss.leaves_open(time))
+    }
+
+    /// How many scans of a loss fitted nowhere, and have no pose.
+    pub fn scans_without_pose(&self, loss: &Loss) -> usize {
+        let pieces = self.pieces().into_iter().filter_map(|id| self.map.trajectories.get(&id));
+        pieces.flat_map(|piece| piece.scans.iter()).filter(|scan| loss.leaves_open(scan.time)).count()
     }
 }
 

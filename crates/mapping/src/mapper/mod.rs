@@ -72,6 +72,14 @@ pub struct Loss {
     pub is_gap: bool,
 }
 
+impl Loss {
+    /// Whether nobody knows where a scan was taken that has this time: it fitted nowhere.
+    pub fn leaves_open(&self, time: Time) -> bool {
+        let is_before_end = time < self.until || self.piece.is_none();
+        !self.is_gap && self.since <= time && is_before_end
+    }
+}
+
 /// Builds a map of any number of trajectories.
 pub struct Mapper<S: Space> {
     options: Options,

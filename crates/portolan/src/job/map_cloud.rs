@@ -234,7 +234,7 @@ pub fn write_clouds<S: Space>(
         remark(observe, Remark::StoppedBeforeClouds);
         return Ok(None);
     }
-    let poses = mapped.map.scan_poses(mapped.trajectory_id);
+    let poses = mapped.connected_scan_poses();
     let view = with_xrays.then(|| xray::Request::new(&poses, &mapped.plan, preparation));
     let drawn = match &view {
         Some(view) => draw_kept(view, &mapped.kept_scans, &poses, folder, observe)?,

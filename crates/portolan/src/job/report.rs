@@ -148,6 +148,7 @@ fn losses<S: Space>(mapped: &MappedRecording<S>) -> Vec<serde_json::Value> {
             "trajectory": loss.piece.map(|piece| piece.0),
             "is_connected": !mapped.is_apart(loss),
             "is_gap_without_scans": loss.is_gap,
+            "scans_without_pose": mapped.scans_without_pose(loss),
             "is_tied_by_odometry_alone": mapped.is_tied_by_odometry(loss),
         })
     };

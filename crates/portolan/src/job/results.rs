@@ -13,7 +13,6 @@ use super::output_folder::OutputFolder;
 use super::pictures::write_pictures;
 use super::report::report;
 use crate::pipeline::MappedRecording;
-use crate::soundness::sound_poses;
 
 /// A space whose maps can be shown from above.
 pub trait ResultSpace: MapSpace {
@@ -58,7 +57,6 @@ pub fn write_results<S: ResultSpace>(
     let mut files = Vec::new();
     // Trajectories that were known before are in the map; these files are of the recording. The trajectory comes
     // first: it is what took longest for its size, should there be no room for the rest.
-    let id = mapped.trajectory_id;
     let trajectory = folder.file("trajectory.tum")?;
     write_tum(&trajectory, &mapped.trajectory())?;
     if what.map {
@@ -66,7 +64,7 @@ pub fn write_results<S: ResultSpace>(
     }
     files.push(trajectory);
     if what.all_poses {
-        write_tum(&folder.add("all_poses.tum", &mut files)?, &sound_poses(map.scan_poses(id)))?;
+        write_tum(&folder.add("all_poses.tum", &mut files)?, &mapped.scan_poses())?;
     }
     if !what.map {
         remark(observe, Remark::NoMap { left: folder.path().join("map.pbstream").exists() });
