@@ -70,9 +70,15 @@ fn mapped(seconds: f64, stalls: bool, folder: &Path) -> (serde_json::Value, f64)
     drive.write_messages(&mut writer).unwrap();
     Box::new(writer).finish().unwrap();
     let recording = open_all(&[bag]).unwrap();
-    map(recording.as_ref(), MapRequest::new(folder), &mut unobserved).unwrap();
+    let mut request = MapRequest::new(folder);
+    request.cloud.file = Some("cloud.ply".into());
+    map(recording.as_ref(), request, &mut unobserved).unwrap();
     let report = std::fs::read(folder.join("report.json")).unwrap();
     let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+    // What was seen after the gap is in the cloud, too.
+    let [points, left_out] =
+        ["points", "outside_trajectory"].map(|key| report["cloud"]["unwound"][key].as_f64().unwrap());
+    assert!(left_out < 0.02 * points, "{}", report["cloud"]);
     let trajectory = std::fs::read_to_string(folder.join("trajectory.tum")).unwrap();
     let poses = trajectory.lines().map(|line| {
         let n: Vec<f64> = line.split(' ').map(|word| word.parse().unwrap()).collect();

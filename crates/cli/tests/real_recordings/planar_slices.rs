@@ -106,10 +106,18 @@ fn a_recording_that_ends_lost_does_not_look_done() {
         with_gap(&recording, is_planar, &gap, end, &cut);
         let output = text(&folder.path().join("out"));
         let run = portolan_with_code(3, &["map", &text(&cut), "-o", &output, "--no-xray"]);
-        assert!(run.stdout.contains("its last poses are guesses"), "{name}: {}{}", run.stdout, run.stderr);
+        assert!(
+            run.stdout.contains("have no pose; the trajectory ends there"),
+            "{name}: {}{}",
+            run.stdout,
+            run.stderr
+        );
         let report = std::fs::read(Path::new(&output).join("report.json")).unwrap();
         let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
         let lost = report["lost"].as_array().unwrap();
         assert!(matches!(&lost[..], [lost] if lost["trajectory"].is_null()), "{name}: {lost:?}");
+        assert!(lost[0]["scans_without_pose"].as_u64() > Some(0), "{name}: {lost:?}");
+        let last = read(&text(&Path::new(&output).join("trajectory.tum"))).poses().last().unwrap().time;
+        assert!(last.unix_seconds() < lost[0]["from"].as_f64().unwrap(), "{name}: {lost:?}, {last}");
     }
 }
