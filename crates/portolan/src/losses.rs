@@ -13,7 +13,8 @@ impl<S: Space> MappedRecording<S> {
     pub fn losses_in_words(&self) -> String {
         let Some(start) = self.trajectory().first().map(|(time, _)| *time) else { return String::new() };
         let recorded = |time: Time| self.recorded_times.get(&time).copied().unwrap_or(time);
-        let lines = self.losses.iter().take(NAMED).map(|loss| {
+        let without_pose = self.scans_without_pose();
+        let lines = self.losses.iter().zip(without_pose).take(NAMED).map(|(loss, without_pose)| {
             let outcome = if self.is_tied_by_odometry(loss) {
                 "the trajectory after it lies where odometry says, and no scan confirms it"
             } else if loss.piece.is_none() {
@@ -30,7 +31,7 @@ impl<S: Space> MappedRecording<S> {
             };
             let what = match loss.is_gap {
                 true => format!("no scans {when}"),
-                false => match self.scans_without_pose(loss) {
+                false => match without_pose {
                     0 => format!("lost {when}: scans did not fit the map any more"),
                     n => format!(
                         "lost {when}: scans did not fit the map any more, and {n} of them have no pose"

@@ -159,10 +159,16 @@ impl<S: Space> MappedRecording<S> {
         !self.losses.iter().any(|loss| loss.leaves_open(time))
     }
 
-    /// How many scans of a loss fitted nowhere, and have no pose.
-    pub fn scans_without_pose(&self, loss: &Loss) -> usize {
+    /// How many scans of each loss fitted nowhere, and have no pose.
+    pub fn scans_without_pose(&self) -> Vec<usize> {
+        let mut counts = vec![0; self.losses.len()];
         let pieces = self.pieces().into_iter().filter_map(|id| self.map.trajectories.get(&id));
-        pieces.flat_map(|piece| piece.scans.iter()).filter(|scan| loss.leaves_open(scan.time)).count()
+        for scan in pieces.flat_map(|piece| piece.scans.iter()) {
+            for (loss, count) in self.losses.iter().zip(&mut counts) {
+                *count += usize::from(loss.leaves_open(scan.time));
+            }
+        }
+        counts
     }
 }
 

@@ -321,8 +321,8 @@ fn agreed(
     Some(std::mem::take(waiting))
 }
 
-/// What of a loop closure that would bend the map those say, too, that wait with it: scans of at least `needed` nodes. Where all who
-/// agree, but for fewer, leave the place along a direction open, it is believed across that alone.
+/// A loop closure that would bend the map, as far as scans of at least `needed` nodes, which wait with it, agree: if fewer than that
+/// tell the place along some direction, and the others leave it open, it is believed across that direction alone.
 fn supported<'a>(
     of: &WaitingMatch,
     waiting: impl Iterator<Item = &'a WaitingMatch>,

@@ -141,16 +141,16 @@ pub(super) fn report<S: Space>(
 /// When nothing constrained the pose of the scanner, and what became of it.
 fn losses<S: Space>(mapped: &MappedRecording<S>) -> Vec<serde_json::Value> {
     let recorded = |time: Time| mapped.recorded_times.get(&time).copied().unwrap_or(time).unix_seconds();
-    let entry = |loss: &Loss| {
+    let entry = |(loss, without_pose): (&Loss, usize)| {
         serde_json::json!({
             "from": recorded(loss.since),
             "to": recorded(loss.until),
             "trajectory": loss.piece.map(|piece| piece.0),
             "is_connected": !mapped.is_apart(loss),
             "is_gap_without_scans": loss.is_gap,
-            "scans_without_pose": mapped.scans_without_pose(loss),
+            "scans_without_pose": without_pose,
             "is_tied_by_odometry_alone": mapped.is_tied_by_odometry(loss),
         })
     };
-    mapped.losses.iter().map(entry).collect()
+    mapped.losses.iter().zip(mapped.scans_without_pose()).map(entry).collect()
 }
