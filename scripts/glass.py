@@ -90,7 +90,6 @@ def main():
     walls = Map(arguments.results)
     poses = np.loadtxt(arguments.results / "trajectory.tum", usecols=(0, 1, 2, 6, 7))
     times, yaws = poses[:, 0], 2.0 * np.arctan2(poses[:, 3], poses[:, 4])
-    # Times below 1e8 s count from the start and were moved by 1e9.
     log = bz2.open(arguments.log, "rt", errors="replace")
     changed = measured = 0
     with log as lines, open(arguments.output, "w") as out:
@@ -98,6 +97,7 @@ def main():
             if line.startswith("FLASER"):
                 words = line.split()
                 n, stamp = int(words[1]), float(words[-3])
+                # Times below 1e8 s count from the start, and `map` moves them by 1e9.
                 stamp += 1e9 if stamp < 1e8 else 0.0
                 i = int(np.argmin(np.abs(times - stamp)))
                 if abs(times[i] - stamp) < 0.05:
