@@ -47,7 +47,8 @@ pub use planar::{CellValue, Grid2d};
 pub use probability::ProbabilityGrid;
 pub use ray::for_each_cell_on_ray;
 pub use scan_agreement::{
-    BeamEnd, ScanAgreement, beam_ends, mean_of_solid_cells, scan_agreement, score_difference,
+    BeamEnd, ScanAgreement, beam_ends, ends_in_the_open, is_at_solid, mean_of_solid_cells, scan_agreement,
+    score_difference,
 };
 pub use texture::Texture;
 pub use tsdf::Tsdf2d;

@@ -89,7 +89,6 @@ fn beam_end(grid: &ProbabilityGrid, grid_from_scan: &Rigid2, point: &Point3f) ->
     let resolution = grid.limits().resolution();
     let cell_at = |p: &Vector2<f64>| grid.limits().cell_index(p.cast::<f32>());
     let known = |cell: CellIndex| grid.is_known(cell).then(|| grid.probability(cell));
-    let is_solid = |cell: CellIndex| known(cell).is_some_and(|p| p > SOLID);
     let origin = grid_from_scan.translation;
     let end = grid_from_scan.transform_point(&Vector2::new(f64::from(point.x), f64::from(point.y)));
     let beam = end - origin;
@@ -98,13 +97,12 @@ fn beam_end(grid: &ProbabilityGrid, grid_from_scan: &Rigid2, point: &Point3f) ->
         return None;
     }
     let cell = cell_at(&end);
-    let around = (-1..=1).flat_map(|x| (-1..=1).map(move |y| CellIndex::new(cell.x + x, cell.y + y)));
-    if around.into_iter().any(is_solid) {
+    if is_cell_at_solid(grid, cell) {
         return Some(BeamEnd::AtSolid);
     }
     let steps = (length / resolution - BEHIND).max(0.0) as u32;
-    let passed =
-        (1..steps).filter(|i| is_solid(cell_at(&(origin + beam * (f64::from(*i) * resolution / length)))));
+    let passed = (1..steps)
+        .filter(|i| is_solid(grid, cell_at(&(origin + beam * (f64::from(*i) * resolution / length)))));
     Some(if passed.take(MIN_SOLID_CELLS as usize).count() >= MIN_SOLID_CELLS as usize {
         BeamEnd::BehindSolid
     } else if known(cell).is_some_and(|p| p < FREE) {
@@ -112,6 +110,40 @@ fn beam_end(grid: &ProbabilityGrid, grid_from_scan: &Rigid2, point: &Point3f) ->
     } else {
         BeamEnd::Unknown
     })
+}
+
+/// Whether a beam ends where nothing is, and would go on for so many metres through what is known to be free. Arguments as of
+/// [`beam_ends`].
+pub fn ends_in_the_open(grid: &Grid2d, grid_from_scan: &Rigid2, point: &Point3f, metres: f64) -> bool {
+    let Grid2d::Probability(grid) = grid else { return false };
+    let resolution = grid.limits().resolution();
+    let end = grid_from_scan.transform_point(&Vector2::new(f64::from(point.x), f64::from(point.y)));
+    let beam = end - grid_from_scan.translation;
+    let length = beam.norm();
+    let is_free = |cell: CellIndex| grid.is_known(cell) && grid.probability(cell) < FREE;
+    let on_beam = |i: u32| {
+        let at = length + f64::from(i) * resolution;
+        grid.limits().cell_index((grid_from_scan.translation + beam * (at / length)).cast::<f32>())
+    };
+    length > 0.0
+        && length.is_finite()
+        && beam_end(grid, grid_from_scan, point) == Some(BeamEnd::InFree)
+        && (1..=(metres / resolution).ceil() as u32).all(|i| is_free(on_beam(i)))
+}
+
+/// Whether a point, metres in the frame of the grid, is in something solid or beside it.
+pub fn is_at_solid(grid: &Grid2d, point: &Vector2<f64>) -> bool {
+    let Grid2d::Probability(grid) = grid else { return false };
+    is_cell_at_solid(grid, grid.limits().cell_index(point.cast::<f32>()))
+}
+
+fn is_cell_at_solid(grid: &ProbabilityGrid, cell: CellIndex) -> bool {
+    let around = (-1..=1).flat_map(|x| (-1..=1).map(move |y| CellIndex::new(cell.x + x, cell.y + y)));
+    around.into_iter().any(|cell| is_solid(grid, cell))
+}
+
+fn is_solid(grid: &ProbabilityGrid, cell: CellIndex) -> bool {
+    grid.is_known(cell) && grid.probability(cell) > SOLID
 }
 
 /// Compares a scan with a grid of probabilities. `points` are metres in the frame of the scanner, whose pose in
@@ -184,5 +216,12 @@ mod tests {
         assert_eq!(agreement(5.0, 0.55).through_solid, 1.0);
         assert_eq!(agreement(-5.0, 0.55), ScanAgreement::default());
         assert_eq!(agreement(1.5, 0.55).contradiction(), 1.0);
+        let grid = Grid2d::Probability(grid.clone());
+        let is_open = |x: f32, metres: f64| {
+            ends_in_the_open(&grid, &Rigid2::identity(), &Point3f::new(x, 0.0, 0.0), metres)
+        };
+        assert!(is_open(1.5, 1.0) && !is_open(1.5, 2.0));
+        // At a wall, before unknown space, and beyond it.
+        assert!(!is_open(3.05, 0.0) && !is_open(-0.2, 0.0) && !is_open(5.0, 0.0));
     }
 }

@@ -41,7 +41,7 @@ pub struct MatchingResult<S: LocalSpace> {
     pub time: Time,
     /// Where it was taken, in the local map.
     pub local_from_tracking: Rigid3,
-    /// The scan itself in the local map, thinned if it is a node.
+    /// The scan itself in the local map, thinned if it is a node, without returns that hide the place.
     pub range_data_in_local: RangeData,
     /// Its points as they were measured, in range and thinned with small voxels, whatever was found of the
     /// motion on the way (3D).

@@ -42,7 +42,7 @@ pub struct LocalScan<'a> {
     pub time: Time,
     /// Where local SLAM put it.
     pub local_from_tracking: Rigid3,
-    /// In the local map.
+    /// In the local map; none if something hid the place.
     pub returns: &'a PointCloud,
     /// Where its beams begin, in the local map.
     pub origin: Point3f,
@@ -139,6 +139,7 @@ impl<M: KnownMap> Finder<M> {
             std::mem::replace(&mut self.mode, Mode::Searching { places: Places::default(), lost: None });
         let (mode, state, reason) = match mode {
             searching if has_lost_its_way => (searching, State::Lost, Reason::LocalMapLost),
+            mode if scan.returns.is_empty() => carried(mode, &current),
             Mode::Searching { places, lost } => self.search(places, lost, &current),
             Mode::Tracking(track) => self.track(track, &current),
         };
@@ -218,7 +219,10 @@ impl<M: KnownMap> Finder<M> {
         let last = self.last.replace(TimedPose { time: scan.time, local_from_scan });
         let motion = last.map_or_else(Rigid3::identity, |l| l.local_from_scan.inverse() * local_from_scan);
         let seconds = last.map_or(0.0, |l| scan.time.seconds_since(l.time));
-        let offered = self.recent.offer(KeyScan { time: scan.time, local_from_scan, scan: seen.clone() });
+        let offered = match scan.returns.is_empty() {
+            true => Offered::LeftOut,
+            false => self.recent.offer(KeyScan { time: scan.time, local_from_scan, scan: seen.clone() }),
+        };
         Current { time: scan.time, local_from_scan, motion, seconds, scan: seen, offered }
     }
 
@@ -379,6 +383,33 @@ impl<M: KnownMap> Finder<M> {
             covariance: place.belief.covariance(),
             agreement: place.agreement,
         })
+    }
+}
+
+/// After a scan that sees nothing of the place: local SLAM alone tells how it moved.
+fn carried<S>(mode: Mode, current: &Current<S>) -> (Mode, State, Reason) {
+    let reason = Reason::PlaceHidden;
+    match mode {
+        Mode::Searching { mut places, lost } => {
+            places.all.iter_mut().for_each(|place| place.predict(&current.motion, current.seconds));
+            let state = match (places.all.is_empty(), lost) {
+                (false, _) => State::Tentative,
+                (true, Some(_)) => State::Lost,
+                (true, None) => State::Searching,
+            };
+            (Mode::Searching { places, lost }, state, reason)
+        }
+        Mode::Tracking(mut track) => {
+            track.place.predict(&current.motion, current.seconds);
+            track.rivals.predict(&current.motion, current.seconds);
+            track.support.add(Verdict::Unknown, current.time);
+            track.doubt = reason;
+            if track.place.belief.sigmas().0 > WIDEST {
+                return lost(reason);
+            }
+            let state = if track.support.is_sure() { State::Localised } else { State::Uncertain };
+            (Mode::Tracking(track), state, reason)
+        }
     }
 }
 

@@ -62,6 +62,8 @@ pub enum Reason {
     ScansContradict,
     /// The map knows nothing of what the scans see.
     OutsideTheMap,
+    /// Something hides the place from the scanner: it is carried along by local SLAM.
+    PlaceHidden,
     /// Another place fits better.
     AnotherPlaceFitsBetter,
     /// Local SLAM lost its own way, so that nothing tells how far the scanner went.
@@ -70,13 +72,14 @@ pub enum Reason {
 
 impl Reason {
     /// All of them.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::NoPlaceFits,
         Self::SeveralPlacesFit,
         Self::TooLittleSeen,
         Self::ScansFit,
         Self::ScansContradict,
         Self::OutsideTheMap,
+        Self::PlaceHidden,
         Self::AnotherPlaceFitsBetter,
         Self::LocalMapLost,
     ];
@@ -90,6 +93,7 @@ impl Reason {
             Self::ScansFit => "scans_fit",
             Self::ScansContradict => "scans_contradict",
             Self::OutsideTheMap => "outside_the_map",
+            Self::PlaceHidden => "place_hidden",
             Self::AnotherPlaceFitsBetter => "another_place_fits_better",
             Self::LocalMapLost => "local_map_lost",
         }

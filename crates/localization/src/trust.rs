@@ -58,11 +58,11 @@ fn end_of(after: &[Estimate]) -> End {
     let next = after.iter().find(|e| e.state != State::Uncertain).unwrap_or(doubt);
     match (next.state, next.reason) {
         (State::Lost, Reason::AnotherPlaceFitsBetter) => End::Refuted,
-        (State::Lost, Reason::OutsideTheMap) => End::Undisputed,
+        (State::Lost, Reason::OutsideTheMap | Reason::PlaceHidden) => End::Undisputed,
         (State::Lost, _) => End::Doubted(BEFORE_LOSS),
         // It jumped.
         _ if doubt.state == State::Localised => End::Doubted(BEFORE_LOSS),
-        _ if doubt.reason == Reason::OutsideTheMap => End::Undisputed,
+        _ if matches!(doubt.reason, Reason::OutsideTheMap | Reason::PlaceHidden) => End::Undisputed,
         _ => End::Doubted(BEFORE_DOUBT),
     }
 }

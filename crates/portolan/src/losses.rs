@@ -30,7 +30,7 @@ impl<S: Space> MappedRecording<S> {
                 false => format!("from {since:.1} to {until:.1} s"),
             };
             let what = match loss.is_gap {
-                true => format!("no scans {when}"),
+                true => format!("no usable scans {when}"),
                 false => match without_pose {
                     0 => format!("lost {when}: scans did not fit the map any more"),
                     n => format!(

@@ -6,6 +6,7 @@ use crate::known;
 use std::path::Path;
 use std::sync::OnceLock;
 
+use known::gap::{Gap, Scans};
 use known::{Known, request};
 use portolan::config::Options;
 use portolan::geometry::{Duration, Rigid3, Vector3};
@@ -16,7 +17,7 @@ use portolan::job::{
 use portolan::localization::{Change, ChangeKind, KnownMapError, PlanarMap, Reason, StartPose, State};
 use portolan::mapfile::{MapLoadSettings, read_map_2d, write_map_2d};
 use portolan::mapping::{GraphState, Planar};
-use portolan::recording::{Recording, create, open_all};
+use portolan::recording::{Recording, RecordingWriter, create, open_all};
 use portolan::simulator::{ScenarioOptions, Simulation};
 use portolan::worlds::two_d::{Material, Scene, Shape};
 
@@ -170,6 +171,29 @@ fn a_kidnapped_robot_knows_that_it_is_lost_and_is_found_again() {
     let seconds = again.map(|time| time.seconds_since(kidnapped_at));
     assert!(seconds.is_some_and(|s| s < 12.0), "{seconds:?} {:?}", found.state_counts());
     assert!(found.estimates.iter().any(|e| e.state == State::Lost));
+}
+
+#[test]
+fn who_sees_nothing_is_carried_along_and_not_found_anywhere_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let (today, bag) = (drive(1, 2, 40.0), folder.path().join("covered.bag"));
+    let at = |seconds| today.start_time() + Duration::from_seconds(seconds);
+    let mut writer = Gap {
+        inner: create(&bag, None).unwrap(),
+        between: [at(20.0), at(28.0)],
+        scans: Scans::Covered,
+        stalled: None,
+    };
+    today.write_messages(&mut writer).unwrap();
+    Box::new(writer).finish().unwrap();
+    let found = find(open_all(&[bag]).unwrap().as_ref(), None);
+    let hidden = found.estimates.iter().filter(|e| e.reason == Reason::PlaceHidden);
+    let (hidden, states) = (hidden.map(|e| e.state).collect::<Vec<_>>(), found.state_counts());
+    assert!((75..=85).contains(&hidden.len()), "{}", hidden.len());
+    assert!(hidden.contains(&State::Uncertain) && !hidden.contains(&State::Lost), "{states:?}");
+    assert_eq!(found.estimates.last().map(|e| e.state), Some(State::Localised));
+    let largest = known().errors(&today, &found).iter().map(|e| e.1).fold(0.0, f64::max);
+    assert!(largest < 0.25, "{largest} m");
 }
 
 #[test]

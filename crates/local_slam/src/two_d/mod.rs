@@ -11,6 +11,7 @@ mod guessed_way;
 mod hypotheses;
 mod level;
 mod motion;
+mod occlusion;
 mod odometry_failure;
 mod odometry_scale;
 mod posterior;

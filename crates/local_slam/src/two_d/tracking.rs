@@ -2,6 +2,7 @@
 //! predictions were wrong lately, and a judgement of what was found.
 
 mod judging;
+mod viewing;
 
 use portolan_config::TrajectoryBuilder2dOptions;
 use portolan_geometry::{Rigid2, Time, Vector2, embed_3d};
@@ -17,6 +18,7 @@ use super::catching_up::CatchingUp;
 use super::degeneracy::WeakDirection;
 use super::hypotheses::{Basis, Judgement, Looked};
 use super::motion::{ACCELERATION, ANGULAR_ACCELERATION, Measured, Motion, WIDEST, reached_by_acceleration};
+use super::occlusion::Occlusion;
 use super::odometry_failure::{OdometryFailure, Told};
 use super::odometry_scale::OdometryScale;
 use super::posterior::{BeamEvidence, MotionPrior};
@@ -85,6 +87,7 @@ pub(super) struct Tracker {
     interval: Option<f64>,
     /// Of the scan that is to be found next, if it was looked for.
     looked: Option<Looked>,
+    occlusion: Occlusion,
     remembered: RememberedScans,
 }
 
@@ -111,6 +114,7 @@ impl Tracker {
             beam_evidence: BeamEvidence::default(),
             interval: None,
             looked: None,
+            occlusion: Occlusion::default(),
             remembered: RememberedScans::default(),
         })
     }
@@ -287,6 +291,11 @@ impl Tracker {
     /// Where the scan is if odometry, which tells this, rather fails than works.
     pub fn suspected(&self, told: Rigid2, motion: Motion) -> Option<Rigid2> {
         self.odometry_failure.suspected(motion, &self.prior(self.predicted(told, &motion, None), motion))
+    }
+
+    /// Where the scan is by odometry that measured the motion.
+    pub fn told_by_odometry(&self, told: Rigid2, motion: &Motion) -> Rigid2 {
+        self.predicted(told, motion, None)
     }
 
     /// Where the scan is expected, told where odometry, or else the velocity, leads.

@@ -3,6 +3,8 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)] // tests say what is wrong that way
 
+pub mod gap;
+
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 

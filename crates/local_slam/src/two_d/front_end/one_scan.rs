@@ -12,6 +12,7 @@ use super::super::co_moving::Marked;
 use super::super::dead_reckoning::DeadReckoning;
 use super::super::gather::GatheredScan;
 use super::super::motion::{Measured, Motion};
+use super::super::occlusion::View;
 use super::super::scan::Scan;
 use super::super::tracking::{Found, LeftOpen};
 use super::FrontEnd;
@@ -42,11 +43,21 @@ impl FrontEnd {
         let scan = without.as_ref().unwrap_or(&gathered.range_data);
         // 2. Predict.
         let expected = self.expected(time, scan, &gravity)?;
-        // 3. Match.
+        // 3. Leave out what hides the place.
+        let (view, clear) = self.view(time, &expected);
+        if view == View::Nothing {
+            return self.carried_by_odometry(time, &expected, gravity);
+        }
+        let scan = clear.as_ref().unwrap_or(scan);
+        let expected = match &clear {
+            Some(clear) => Expected { scan, cloud: self.to_be_matched(&clear.returns), ..expected },
+            None => expected,
+        };
+        // 4. Match.
         let found = self.find(time, &expected);
         self.note_for_role(&expected, &found);
         self.note_left_open(time, &expected, &found);
-        // 4. Believe that, or begin a new piece of map.
+        // 5. Believe that, or begin a new piece of map.
         let (pose, lost) = self.believed(time, &expected, &found, &gravity)?;
         if let (None, Belief::Sure, Some(marked)) = (&lost, self.belief, marked) {
             self.co_moving.learn(time, pose, marked);
@@ -55,7 +66,7 @@ impl FrontEnd {
         self.extrapolator.as_mut()?.add_pose(time, local_from_tracking);
         let tells_place = found.tells_place && self.belief == Belief::Sure;
         self.level.add_pose(time, &local_from_tracking, tells_place);
-        // 5. Insert.
+        // 6. Insert.
         let range_data_in_local = scan.transformed(&to_f32(&embed_3d(&pose)));
         let inserted = if let Belief::Doubtful { .. } = self.belief {
             self.count(IssueKind::ScanContradictsMap, time);
@@ -92,27 +103,19 @@ impl FrontEnd {
         (marked, without)
     }
 
-    /// Where a scan is expected; none where nothing of it can be matched.
+    /// Where a scan is expected; none before the first sensor that tells it.
     fn expected<'a>(
         &mut self,
         time: Time,
         scan: &'a RangeData,
         gravity: &Quaternion,
     ) -> Option<Expected<'a>> {
-        if scan.returns.is_empty() {
-            self.count(IssueKind::ScanWithoutReturn, time);
-            return None;
-        }
         let extrapolator = self.extrapolator.as_mut()?;
         let last_pose = extrapolator.last_pose();
         let measured = Measured::since_last_pose(extrapolator, time);
         let predicted = extrapolator.extrapolate_pose(time);
         let between_readings = extrapolator.between_readings(time);
         let cloud = self.to_be_matched(&scan.returns);
-        if cloud.is_empty() {
-            self.count(IssueKind::ScanWithoutReturnInRange, time);
-            return None;
-        }
         let planar = |pose: Rigid3| project_2d(&(pose * gravity.inverse()));
         let motion = last_pose.map(|(last_time, last)| Motion {
             last: planar(last),
@@ -122,6 +125,58 @@ impl FrontEnd {
             tracking_yaw: yaw(gravity),
         });
         Some(Expected { scan, cloud, prediction: planar(predicted), motion })
+    }
+
+    /// What a scan sees of the place, and the scan without what hides part of it. What is hidden is counted.
+    fn view(&mut self, time: Time, expected: &Expected) -> (View, Option<RangeData>) {
+        let Expected { scan, cloud, prediction, motion } = expected;
+        if scan.returns.is_empty() || cloud.is_empty() {
+            self.count(
+                match scan.returns.is_empty() {
+                    true => IssueKind::ScanWithoutReturn,
+                    false => IssueKind::ScanWithoutReturnInRange,
+                },
+                time,
+            );
+            return (View::Nothing, None);
+        }
+        // On trial the motion is a hypothesis that the scan may refute.
+        let is_judged = self.tracker.is_adaptive() && !self.role.is_trial();
+        let (true, Some(motion), Some(submap)) = (is_judged, motion, self.active_submaps.matching_submap())
+        else {
+            return (View::Clear, None);
+        };
+        let (view, clear) = self.tracker.view(*prediction, *motion, &Scan::new(cloud, &scan.returns, submap));
+        match view {
+            View::Clear => {}
+            View::Part => self.count(IssueKind::ReturnsOcclude, time),
+            View::Nothing => self.count(IssueKind::ScanOccluded, time),
+        }
+        let RangeData { origin, misses, .. } = scan;
+        (view, clear.map(|returns| RangeData { origin: *origin, returns, misses: misses.clone() }))
+    }
+
+    /// The pose of a scan that sees nothing of the place, where odometry tells it. It is not inserted, and the next scan is
+    /// looked for from the last one that saw something.
+    fn carried_by_odometry(
+        &self,
+        time: Time,
+        Expected { scan, prediction, motion, .. }: &Expected,
+        gravity: Quaternion,
+    ) -> Option<MatchingResult<Planar>> {
+        let motion = motion.filter(|motion| self.tracker.is_adaptive() && motion.is_measured())?;
+        let pose = embed_3d(&self.tracker.told_by_odometry(*prediction, &motion));
+        let local_from_tracking = pose * gravity;
+        let origin = to_f32(&pose) * scan.origin;
+        let range_data_in_local = RangeData { origin, ..RangeData::default() };
+        is_valid_pose(&local_from_tracking).then(|| MatchingResult {
+            time,
+            local_from_tracking,
+            range_data_in_local,
+            measured: Vec::new(),
+            inserted: None,
+            lost: None,
+        })
     }
 
     /// What is matched of the returns of a scan. Those in one cell of the map say the same, and one of them counts: else

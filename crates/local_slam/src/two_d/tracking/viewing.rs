@@ -1,0 +1,72 @@
+//! What a scan sees of the place where it is expected.
+
+use portolan_geometry::{Point3f, Rigid2};
+use portolan_grids::{ends_in_the_open, is_at_solid, scan_agreement};
+use portolan_sensor::PointCloud;
+
+use super::super::belief::refutes_place;
+use super::super::motion::{Motion, WIDEST};
+use super::super::occlusion::{MANY_OCCLUDED, View, sees_through};
+use super::super::prediction_error::PredictionSigmas;
+use super::super::scan::Scan;
+use super::{Tracker, WITHIN_SIGMAS};
+
+/// What stands nearer before a wall than this, metres, does not hide it: walls are rough, and ranges are noisy.
+const BEFORE_WALLS: f64 = 0.3;
+
+impl Tracker {
+    /// What the scan sees of the place where it is expected, and those of its returns that do not hide it if others do. Is asked
+    /// of each scan once.
+    pub fn view(&mut self, told: Rigid2, motion: Motion, scan: &Scan) -> (View, Option<PointCloud>) {
+        let prediction = self.predicted(told, &motion, None);
+        let sigmas = self.prediction_error.sigmas(&motion.to(&prediction));
+        let agreement = scan_agreement(&scan.submap.grid, &prediction, scan.cloud);
+        // A velocity alone does not tell well enough what the scan should see.
+        let is_there =
+            |a: &_| motion.is_measured() && is_expected(&sigmas) && !(refutes_place(a) && sees_through(a));
+        let Some(agreement) = agreement.filter(is_there) else {
+            self.occlusion.sees_place(scan.returns);
+            return (View::Clear, None);
+        };
+        let mut occluded = share_occluded(scan, &prediction, &sigmas);
+        // It may as well be the prediction that is off. A cover fits walls, but no scanner stands in one.
+        if occluded >= MANY_OCCLUDED {
+            let found = self.look(prediction, motion, *scan);
+            self.forget_look();
+            let found = found.filter(|pose| !is_at_solid(&scan.submap.grid, &pose.translation));
+            occluded = found.map_or(occluded, |pose| occluded.min(share_occluded(scan, &pose, &sigmas)));
+        }
+        match self.occlusion.view(&agreement, occluded, scan.returns) {
+            View::Part => {
+                let is_clear = |point: &Point3f| !is_occluded(scan, &prediction, &sigmas, (point, 0.0));
+                let clear = scan.returns.retained(is_clear);
+                if clear.is_empty() { (View::Nothing, None) } else { (View::Part, Some(clear)) }
+            }
+            view => (view, None),
+        }
+    }
+}
+
+/// Whether the prediction tells where the scan was taken, as far as scans are looked for.
+fn is_expected(sigmas: &PredictionSigmas) -> bool {
+    WITHIN_SIGMAS * sigmas.translation <= WIDEST.linear && WITHIN_SIGMAS * sigmas.rotation <= WIDEST.angular
+}
+
+/// Whether the beam to a point ends in the open, and so many metres before anything solid, or as many as a pose with these
+/// standard deviations can be off there.
+fn is_occluded(
+    scan: &Scan,
+    pose: &Rigid2,
+    sigmas: &PredictionSigmas,
+    (point, metres): (&Point3f, f64),
+) -> bool {
+    let range = f64::from(point.x.hypot(point.y));
+    let off = WITHIN_SIGMAS * sigmas.translation.hypot(sigmas.rotation * range);
+    ends_in_the_open(&scan.submap.grid, pose, point, off.max(metres))
+}
+
+fn share_occluded(scan: &Scan, pose: &Rigid2, sigmas: &PredictionSigmas) -> f64 {
+    let points = &scan.cloud.points;
+    let occluded = points.iter().filter(|point| is_occluded(scan, pose, sigmas, (point, BEFORE_WALLS)));
+    occluded.count() as f64 / points.len().max(1) as f64
+}
