@@ -27,6 +27,9 @@
     dirt    a third of the beams, in six runs that stay, read 0.2 to 0.5 m
     wide    beams are 3 % farther apart than the log says
     crowd   six persons walk around the robot, 0.8 to 3 m away, each with a time of its own
+    blind   for 10 s of every 60 s it sees nothing
+    cover   for 10 s of every 60 s it sees a cloth over the scanner, 0.1 to 0.3 m away
+    dense   for 10 s of every 60 s a dense crowd is around it, 0.4 to 2 m away, and moves
     metric  readings are in millimetres
     glass   one reading in five goes on through glass: it is 0.5 to 3 m too long, in runs of four beams
 
@@ -74,6 +77,22 @@ def above_floor(ranges, down_degrees):
         on_floor = 0.3 / descent if descent > 1e-3 else math.inf
         sees.append(f"{on_floor:.3f}" if on_floor < float(r) else r)
     return sees
+
+
+def hidden(ranges, how, chance, seconds):
+    """What is seen in spite of what is around the scanner for 10 s of every 60 s."""
+    if how not in ("blind", "cover", "dense") or seconds % 60.0 < 50.0:
+        return ranges
+    if how == "dense":
+        return in_crowd(ranges, seconds)
+    return [NOTHING if how == "blind" else f"{chance.uniform(0.1, 0.3):.3f}" for _ in ranges]
+
+
+def in_crowd(ranges, seconds):
+    """Bodies side by side all around, each nearer and farther with a time of its own."""
+    body = lambda i: i * 18 // len(ranges)
+    away = lambda i: 1.2 + 0.8 * math.sin(seconds / (0.6 + body(i) * 0.34 % 1.0) + 2.0 * body(i))
+    return [f"{min(float(r), away(i)):.3f}" for i, r in enumerate(ranges)]
 
 
 def spoilt(ranges, how, chance, count):
@@ -143,7 +162,7 @@ def spoilt(ranges, how, chance, count):
         of_all, of_metre = NOISES[how]
         noisy = lambda r: max(0.05, float(r) + chance.gauss(0.0, of_all + of_metre * float(r)))
         return [f"{noisy(r):.3f}" if float(r) < 60.0 else r for r in ranges]
-    if how in ("third", "burst", "stale", "hang", *CLOCKS):
+    if how in ("third", "burst", "stale", "hang", "blind", "cover", "dense", *CLOCKS):
         return ranges
     sys.exit(f"there is no way to spoil a log that is called {how}")
 
@@ -176,6 +195,7 @@ def main():
                 ranges = spoilt(words[2 : 2 + n], how, chance, count)
                 stamp = float(words[-3])
                 first = stamp if first is None else first
+                ranges = hidden(ranges, how, chance, stamp - first)
                 if last and is_stale(how, count, stamp - first):
                     ranges = last
                 last = ranges

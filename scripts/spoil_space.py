@@ -11,6 +11,7 @@
     tilted   the lidar is mounted 30 degrees down, upside upside down, onside on its side; nobody says so
     carrier  who carries it hides 40 degrees behind, 0.6 m away, and sways by 5 cm
     hull     and 300 points of the vehicle, up to 1.5 m away, are in every sweep
+    cover    10 of every 40 sweeps see a sheet over the lidar, 0.8 to 1.6 m away
     gone     one sweep in five is missing, at random
     doubled  every sweep comes twice
     stale    every fifth sweep has the points of the one before under its own stamp
@@ -56,6 +57,8 @@ def scaled(points, how, chance):
     distance = np.maximum(np.linalg.norm(points, axis=1), 0.1)
     if how == "noise":
         return 1 + chance.normal(0, 0.04, len(points)) / distance
+    if how == "cover":
+        return chance.uniform(0.8, 1.6, len(points)) / distance
     if how == "rain":
         return np.where(chance.random(len(points)) < 0.05, chance.random(len(points)), 1)
     return np.ones(len(points))
@@ -143,7 +146,10 @@ def main():
             if "slow" in hows and sweeps % 2 == 0 or "gone" in hows and chance.random() < 0.2:
                 continue
             cloud = STORE.deserialize_ros1(data, c.msgtype)
+            is_covered = sweeps // 10 % 4 == 3
             for how in hows:
+                if how == "cover" and not is_covered:
+                    continue
                 cloud = spoilt(cloud, how, chance)
             if "stale" in hows and last and sweeps % 5 == 0:
                 last.header.stamp = cloud.header.stamp
