@@ -25,6 +25,8 @@ pub enum Issue {
     NoPlaneFits,
     /// A sweep that contradicts the map; the map is not shown it.
     ContradictsMap,
+    /// A sweep in which something hides the place; it was left out.
+    PlaceHidden,
     /// A sweep before which nothing had told for seconds how far it went: constant velocity was assumed.
     TravelGuessed,
 }
@@ -46,6 +48,9 @@ impl Issue {
             }
             Self::OdometryOverruled => "sweep whose motion contradicts odometry, which was not used",
             Self::ContradictsMap => "scan that contradicts the map; not inserted",
+            Self::PlaceHidden => {
+                "scan in which something hides all that the map knows of the place; not inserted"
+            }
             Self::TravelGuessed => {
                 "scan before which nothing told for seconds how far it went; constant velocity was assumed"
             }

@@ -16,6 +16,7 @@ mod keyframes;
 mod later;
 mod local_map;
 mod motion_state;
+mod occlusion;
 mod odometry;
 mod odometry_prior;
 mod phase;

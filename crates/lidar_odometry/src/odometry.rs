@@ -15,6 +15,7 @@ use crate::gravity_initialisation::{Beginning, GravityInitialisation, WaitingSwe
 use crate::issues::{Issue, Issues};
 use crate::local_map::GrowingMap;
 use crate::motion_state::MotionState;
+use crate::occlusion::Occlusion;
 use crate::phase::{Phase, State};
 use crate::pieces::{Attempts, Ended, PieceBegun, Recent};
 use crate::settings::OdometrySettings;
@@ -47,6 +48,7 @@ pub struct LidarOdometry {
     begun: Option<PieceBegun>,
     ended: Ended,
     attempts: Attempts,
+    occlusion: Occlusion,
     /// Whether no more sweeps will come.
     is_ended: bool,
     /// Since when sweeps fitted nothing, if the last ones did not.
@@ -67,6 +69,7 @@ impl LidarOdometry {
             begun: None,
             ended: Ended::default(),
             attempts: Attempts::default(),
+            occlusion: Occlusion::default(),
             is_ended: false,
             lost_since: None,
             issues: Issues::default(),
@@ -107,8 +110,14 @@ impl LidarOdometry {
                 State::WaitingForGravity(_) => return None,
                 // 2. The first sweep waits for the second, which tells how fast everything was already moving.
                 State::FirstSweep(_) => self.register_first()?,
-                // 3. All others are registered to planes that those before them saw.
+                // 3. All others are registered to planes that those before them saw, unless they see nothing of the place.
                 State::Tracking(tracker) => {
+                    let loss = &self.settings.loss;
+                    if self.waiting.front().is_some_and(|sweep| self.occlusion.hides(sweep, tracker, loss)) {
+                        self.waiting.pop_front();
+                        self.issues.count(Issue::PlaceHidden);
+                        continue;
+                    }
                     let sweeps = self.waiting.make_contiguous();
                     let gap = match gap::next_sweep(tracker, &self.settings, sweeps, self.is_ended) {
                         NextSweep::Waits => break,

@@ -239,6 +239,55 @@ fn a_lidar_that_was_carried_elsewhere_begins_a_new_piece_of_map() {
     }
 }
 
+/// A sweep of a lidar with a sheet over it, another one each time.
+fn covered(end: f64) -> Sweep {
+    let points = (0..2000).map(|i| {
+        let (turn, rise) = (2.4 * f64::from(i), (0.61 * f64::from(i)).sin());
+        let range = 0.3 + 0.15 * (7.3 * f64::from(i) + 31.0 * end).sin();
+        let beam = Vector3::new(turn.cos(), turn.sin(), 0.5 * rise).normalize() * range;
+        SweepPoint { time: 0.0, position: beam.cast::<f32>().into(), intensity: 0.0 }
+    });
+    Sweep { end: at(end), points: points.collect() }
+}
+
+#[test]
+fn sweeps_of_a_covered_lidar_are_left_out() {
+    for with_imu in [true, false] {
+        let mut odometry = LidarOdometry::new(OdometrySettings::default());
+        let mut registered = Vec::new();
+        for i in 1..=60 {
+            let end = 0.1 * f64::from(i);
+            let seen = match i {
+                31..=40 => covered(end),
+                _ => sweep(end, &truth(end), room()),
+            };
+            let samples = if with_imu { imu(end) } else { Vec::new() };
+            registered.extend(odometry.register(&seen, &samples).unwrap());
+        }
+        odometry.end();
+        registered.extend(std::iter::from_fn(|| odometry.advance(None)));
+        assert_eq!((registered.len(), odometry.issues().of(Issue::PlaceHidden)), (50, 10), "{with_imu}");
+        assert!(registered.iter().all(|r| r.begun.is_none()), "{with_imu}");
+        let [first, last] = [&registered[0], &registered[49]];
+        let moved = first.local_from_tracking.inverse() * last.local_from_tracking;
+        let error = (truth(0.1).inverse() * truth(6.0)).inverse() * moved;
+        assert!(error.translation.vector.norm() < 0.05, "{with_imu}: {error}");
+    }
+}
+
+#[test]
+fn a_small_place_is_a_place_after_some_seconds() {
+    let mut odometry = LidarOdometry::new(OdometrySettings::default());
+    follow(&mut odometry, false);
+    let mut registered = Vec::new();
+    for i in 31..=120 {
+        let closet = sweep(0.1 * f64::from(i), &Rigid3::identity(), 0.2 * room());
+        registered.extend(odometry.register(&closet, &[]).unwrap());
+    }
+    assert_eq!(odometry.issues().of(Issue::PlaceHidden), 51);
+    assert!(registered.iter().any(|r| r.begun.is_some()));
+}
+
 #[test]
 fn a_recording_that_ends_in_doubt_loses_no_sweep() {
     let mut odometry = LidarOdometry::new(OdometrySettings::default());

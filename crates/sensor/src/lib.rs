@@ -6,6 +6,7 @@ mod fixed_ratio_sampler;
 mod measurement;
 mod point_cloud;
 mod range_data_collator;
+mod reach;
 mod rounding;
 mod voxel_filter;
 
@@ -20,6 +21,7 @@ pub use point_cloud::{PointCloud, RangeData, TimedPoint};
 pub use range_data_collator::{
     RangeDataCollator, RangeDataCollatorCounts, SynchronizedPoint, SynchronizedRanges,
 };
+pub use reach::{UsualReach, log_reach};
 pub use rounding::{lround, lround_small};
 pub use voxel_filter::{
     adaptive_voxel_filter, adaptive_voxel_filter_indices, voxel_filter, voxel_filter_indices,

@@ -214,6 +214,7 @@ pub(super) fn kind_of(issue: OdometryIssue) -> IssueKind {
         OdometryIssue::OdometryOverruled => IssueKind::OdometryOverruled,
         OdometryIssue::NoPlaneFits => IssueKind::ScanFitsNoPlane,
         OdometryIssue::ContradictsMap => IssueKind::ScanContradictsMap,
+        OdometryIssue::PlaceHidden => IssueKind::ScanOccluded,
         OdometryIssue::TravelGuessed => IssueKind::TravelGuessed,
     }
 }

@@ -6,9 +6,8 @@
 //! 1998). One chair more is a change of the map. Where many beams end so, they are left out of matching and of the map; where
 //! nearly all do, the scan says nothing of its pose.
 
-use portolan_geometry::Point3f;
 use portolan_grids::ScanAgreement;
-use portolan_sensor::PointCloud;
+use portolan_sensor::{PointCloud, UsualReach, log_reach};
 
 /// Beams are left out if so many of them are occluded …
 pub(super) const MANY_OCCLUDED: f64 = 0.25;
@@ -20,8 +19,6 @@ const HARDLY_EXPLAINED: f32 = 0.3;
 const MOSTLY_EXPLAINED: f32 = 0.5;
 /// So many beams pass through walls for each that ends at one in cluttered rooms, where the scan was taken where it is expected.
 const THROUGH_FOR_EACH_EXPLAINED: f32 = 0.5;
-/// About so many scans tell how far scans usually see.
-const SCANS_REMEMBERED: f64 = 100.0;
 
 /// How much a scan sees of the place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,9 +33,9 @@ pub(super) enum View {
 /// How far scans see that see the place, and the last one that did not.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Occlusion {
-    /// Mean of the logarithm of the reach of scans that see the place.
-    usual: Option<f64>,
-    /// The same of the last scan, if it saw nothing of it.
+    /// Of scans that see the place.
+    usual: UsualReach,
+    /// Logarithm of the reach of the last scan, if it saw nothing of it.
     last: Option<f64>,
 }
 
@@ -49,7 +46,7 @@ impl Occlusion {
         let sees_nothing = occluded >= NEARLY_ALL && agreement.explained <= HARDLY_EXPLAINED
             || agreement.explained < MOSTLY_EXPLAINED && self.is_like_last(returns);
         if sees_nothing {
-            self.last = log_reach(returns);
+            self.last = log_reach(returns.points.iter());
             return View::Nothing;
         }
         self.sees_place(returns);
@@ -59,15 +56,13 @@ impl Occlusion {
     /// Takes a scan that sees the place.
     pub fn sees_place(&mut self, returns: &PointCloud) {
         self.last = None;
-        if let Some(reach) = log_reach(returns) {
-            let usual = self.usual.get_or_insert(reach);
-            *usual += (reach - *usual) / SCANS_REMEMBERED;
-        }
+        log_reach(returns.points.iter()).into_iter().for_each(|reach| self.usual.add(reach));
     }
 
     /// Whether a scan sees rather as far as the last one, which saw nothing of the place, than as far as those that do.
     fn is_like_last(&self, returns: &PointCloud) -> bool {
-        let (Some(usual), Some(last), Some(reach)) = (self.usual, self.last, log_reach(returns)) else {
+        let reach = log_reach(returns.points.iter());
+        let (Some(usual), Some(last), Some(reach)) = (self.usual.log_mean(), self.last, reach) else {
             return false;
         };
         (reach - last).abs() < (reach - usual).abs()
@@ -79,15 +74,10 @@ pub(super) fn sees_through(agreement: &ScanAgreement) -> bool {
     agreement.through_solid > THROUGH_FOR_EACH_EXPLAINED * agreement.explained
 }
 
-/// Logarithm of the root mean square of the ranges, of metres.
-fn log_reach(returns: &PointCloud) -> Option<f64> {
-    let square = |p: &Point3f| f64::from(p.x).powi(2) + f64::from(p.y).powi(2);
-    let sum: f64 = returns.points.iter().map(square).sum();
-    (sum > 0.0).then(|| 0.5 * (sum / returns.points.len() as f64).ln())
-}
-
 #[cfg(test)]
 mod tests {
+    use portolan_geometry::Point3f;
+
     use super::*;
 
     fn returns(range: f32) -> PointCloud {
