@@ -81,11 +81,11 @@ settings! {
             larger: "lost later; drifts longer with constant velocity";
         occluded_reach: f64 = 3.0, "1", 1.0..=1e4,
             "Something hides the place from a sweep that contradicts the map and sees less far than usual by this factor",
-            origin: "between what rooms behind doors do, 2, and covers, 10 (docs/experiments/2026-11-occlusion.md)",
+            origin: "covers see a tenth of what is usual; no sweep of four real recordings and two simulated ones is left out (docs/experiments/2026-11-occlusion.md)",
             larger: "covers farther away are drawn into the map";
         longest_occlusion: f64 = 5.0, "s", 0.0..=1e4,
             "Such sweeps are left out for so long",
-            origin: "as long as motion can be told without sweeps; an open lift takes no longer to close",
+            origin: "about as long as the motion can be told without sweeps",
             larger: "small places that the map contradicts are entered later";
         longest_wait: f64 = 8.0, "s", 0.0..=1e4,
             "Where pieces of map that begin are lost at once, the next begins after twice the time, this at most",
