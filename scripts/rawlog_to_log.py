@@ -2,9 +2,9 @@
 """rawlog_to_log.py IN.rawlog OUT.clf : planar scans and odometry of an MRPT rawlog as a CARMEN log.
 
 Of rawlogs of actions and sensory frames: `CObservation2DRangeScan` of version 6 and the increments of odometry in
-`CActionRobotMovement2D` of version 6, as robots recorded them in 2006 to 2012. Debian's package mrpt-common has one, a robot
-that drives once around a building: "2006-01ENE-21-SENA_Telecom Faculty_one_loop_only.rawlog". Readings without a return become
-81.83 m, as a SICK says it. Needs Python 3 alone.
+`CActionRobotMovement2D` of version 6, as robots recorded them in 2006 to 2012. Debian's package mrpt-common has two: a robot
+that drives once around a building, "2006-01ENE-21-SENA_Telecom Faculty_one_loop_only.rawlog", and one that drives through rooms,
+"uwb_ro-localization_demo.rawlog". Readings without a return become 81.83 m, as a SICK says it. Needs Python 3 alone.
 """
 import gzip
 import math
