@@ -52,6 +52,20 @@ pub struct MatchingResult<S: LocalSpace> {
     pub lost: Option<Lost<S>>,
 }
 
+impl<S: LocalSpace> MatchingResult<S> {
+    /// Of a scan that is no node.
+    fn not_inserted(time: Time, local_from_tracking: Rigid3, range_data_in_local: RangeData) -> Self {
+        Self {
+            time,
+            local_from_tracking,
+            range_data_in_local,
+            measured: Vec::new(),
+            inserted: None,
+            lost: None,
+        }
+    }
+}
+
 /// How well odometry alone tells a motion: standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OdometryBridge {

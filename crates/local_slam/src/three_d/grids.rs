@@ -13,7 +13,7 @@ use portolan_sensor::{ImuData, OdometryData, PointCloud, RangeData};
 use super::LocalSlam3dSettings;
 use super::deskew::{Deskewed, Gathered, deskew, raw_sweep};
 use super::grid_matcher::GridMatcher;
-use super::keyframe_insertion::{KeyframeInsertion, KeyframeScan, not_inserted};
+use super::keyframe_insertion::{KeyframeInsertion, KeyframeScan};
 use super::planes::{extrapolator_settings, kind_of};
 use crate::motion_filter;
 use crate::remembered_scans::RememberedScans;
@@ -193,7 +193,7 @@ impl GridEngine {
         let MatchedScan { local_from_tracking, scan, clouds } = matched;
         if self.motion_filter.is_similar(time, &local_from_tracking) {
             let local = portolan_geometry::to_f32(&local_from_tracking);
-            return not_inserted(time, local_from_tracking, scan.transformed(&local));
+            return MatchingResult::not_inserted(time, local_from_tracking, scan.transformed(&local));
         }
         insertion.insert(KeyframeScan {
             time,

@@ -150,22 +150,6 @@ impl KeyframeInsertion {
     }
 }
 
-/// A sweep that is no key frame.
-pub(super) fn not_inserted(
-    time: Time,
-    local_from_tracking: Rigid3,
-    range_data_in_local: RangeData,
-) -> MatchingResult<Spatial> {
-    MatchingResult {
-        time,
-        local_from_tracking,
-        range_data_in_local,
-        measured: Vec::new(),
-        inserted: None,
-        lost: None,
-    }
-}
-
 /// A submap is half full after so many key frames.
 pub(super) fn keyframes_per_half(options: &TrajectoryBuilder3dOptions) -> u32 {
     u32::try_from(options.submaps.num_range_data).unwrap_or(1)

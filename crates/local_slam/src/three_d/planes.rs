@@ -15,7 +15,7 @@ use portolan_sensor::{ImuData, OdometryData, PointCloud, RangeData, voxel_filter
 use super::LocalSlam3dSettings;
 use super::deskew::{Gathered, raw_sweep};
 use super::grid_matcher::GridMatcher;
-use super::keyframe_insertion::{KeyframeInsertion, KeyframeScan, clouds, keyframes_per_half, not_inserted};
+use super::keyframe_insertion::{KeyframeInsertion, KeyframeScan, clouds, keyframes_per_half};
 use crate::{ActiveSubmaps, Lost};
 use crate::{MatchingResult, Spatial};
 use portolan_optimization::OpenDirections;
@@ -184,7 +184,7 @@ fn inserted(
     });
     let RegisteredSweep { sweep, local_from_tracking, gravity_from_tracking, deskewed, .. } = registered;
     let result = match registered.keyframe {
-        None => not_inserted(sweep.end, local_from_tracking, registered.in_local),
+        None => MatchingResult::not_inserted(sweep.end, local_from_tracking, registered.in_local),
         Some(keyframe) => insertion.insert(KeyframeScan {
             time: sweep.end,
             local_from_tracking,

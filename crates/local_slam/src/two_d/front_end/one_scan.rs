@@ -169,14 +169,8 @@ impl FrontEnd {
         let local_from_tracking = pose * gravity;
         let origin = to_f32(&pose) * scan.origin;
         let range_data_in_local = RangeData { origin, ..RangeData::default() };
-        is_valid_pose(&local_from_tracking).then(|| MatchingResult {
-            time,
-            local_from_tracking,
-            range_data_in_local,
-            measured: Vec::new(),
-            inserted: None,
-            lost: None,
-        })
+        is_valid_pose(&local_from_tracking)
+            .then(|| MatchingResult::not_inserted(time, local_from_tracking, range_data_in_local))
     }
 
     /// What is matched of the returns of a scan. Those in one cell of the map say the same, and one of them counts: else
