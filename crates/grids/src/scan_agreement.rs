@@ -88,7 +88,6 @@ pub fn beam_ends<'a>(
 fn beam_end(grid: &ProbabilityGrid, grid_from_scan: &Rigid2, point: &Point3f) -> Option<BeamEnd> {
     let resolution = grid.limits().resolution();
     let cell_at = |p: &Vector2<f64>| grid.limits().cell_index(p.cast::<f32>());
-    let known = |cell: CellIndex| grid.is_known(cell).then(|| grid.probability(cell));
     let origin = grid_from_scan.translation;
     let end = grid_from_scan.transform_point(&Vector2::new(f64::from(point.x), f64::from(point.y)));
     let beam = end - origin;
@@ -105,7 +104,7 @@ fn beam_end(grid: &ProbabilityGrid, grid_from_scan: &Rigid2, point: &Point3f) ->
         .filter(|i| is_solid(grid, cell_at(&(origin + beam * (f64::from(*i) * resolution / length)))));
     Some(if passed.take(MIN_SOLID_CELLS as usize).count() >= MIN_SOLID_CELLS as usize {
         BeamEnd::BehindSolid
-    } else if known(cell).is_some_and(|p| p < FREE) {
+    } else if is_free(grid, cell) {
         BeamEnd::InFree
     } else {
         BeamEnd::Unknown
@@ -120,7 +119,6 @@ pub fn ends_in_the_open(grid: &Grid2d, grid_from_scan: &Rigid2, point: &Point3f,
     let end = grid_from_scan.transform_point(&Vector2::new(f64::from(point.x), f64::from(point.y)));
     let beam = end - grid_from_scan.translation;
     let length = beam.norm();
-    let is_free = |cell: CellIndex| grid.is_known(cell) && grid.probability(cell) < FREE;
     let on_beam = |i: u32| {
         let at = length + f64::from(i) * resolution;
         grid.limits().cell_index((grid_from_scan.translation + beam * (at / length)).cast::<f32>())
@@ -128,7 +126,7 @@ pub fn ends_in_the_open(grid: &Grid2d, grid_from_scan: &Rigid2, point: &Point3f,
     length > 0.0
         && length.is_finite()
         && beam_end(grid, grid_from_scan, point) == Some(BeamEnd::InFree)
-        && (1..=(metres / resolution).ceil() as u32).all(|i| is_free(on_beam(i)))
+        && (1..=(metres / resolution).ceil() as u32).all(|i| is_free(grid, on_beam(i)))
 }
 
 /// Whether a point, metres in the frame of the grid, is in something solid or beside it.
@@ -144,6 +142,10 @@ fn is_cell_at_solid(grid: &ProbabilityGrid, cell: CellIndex) -> bool {
 
 fn is_solid(grid: &ProbabilityGrid, cell: CellIndex) -> bool {
     grid.is_known(cell) && grid.probability(cell) > SOLID
+}
+
+fn is_free(grid: &ProbabilityGrid, cell: CellIndex) -> bool {
+    grid.is_known(cell) && grid.probability(cell) < FREE
 }
 
 /// Compares a scan with a grid of probabilities. `points` are metres in the frame of the scanner, whose pose in

@@ -4,7 +4,7 @@
 //! beam that ends where the map knows that nothing is, farther before anything solid than its prediction can be off, hit such a
 //! thing (the distance filter of Fox, Burgard, Thrun, Cremers: Position Estimation for Mobile Robots in Dynamic Environments,
 //! 1998). One chair more is a change of the map. Where many beams end so, they are left out of matching and of the map; where
-//! nearly all do, the scan says nothing of its pose.
+//! most do, and the map explains hardly any other, the scan says nothing of its pose.
 
 use portolan_grids::ScanAgreement;
 use portolan_sensor::{PointCloud, UsualReach, log_reach};
@@ -13,7 +13,7 @@ use portolan_sensor::{PointCloud, UsualReach, log_reach};
 pub(super) const MANY_OCCLUDED: f64 = 0.25;
 /// … and a scan sees nothing of the place if so many are, and the map explains so few
 /// (docs/experiments/2026-11-occlusion.md).
-const NEARLY_ALL: f64 = 0.5;
+const MOST_OCCLUDED: f64 = 0.5;
 const HARDLY_EXPLAINED: f32 = 0.3;
 /// The map explains a scan if it explains so many of its beams: more than a cover does that touches a wall.
 const MOSTLY_EXPLAINED: f32 = 0.5;
@@ -26,7 +26,7 @@ pub(super) enum View {
     Clear,
     /// Part of it is hidden.
     Part,
-    /// All of it is.
+    /// So much of it that what is left says nothing of the pose.
     Nothing,
 }
 
@@ -43,7 +43,7 @@ impl Occlusion {
     /// What a scan with these returns sees where it is expected: how the map agrees with it there, and the share of its beams that
     /// are occluded. After one that saw nothing of the place, how far it sees counts, too: the map may not know where it is now.
     pub fn view(&mut self, agreement: &ScanAgreement, occluded: f64, returns: &PointCloud) -> View {
-        let sees_nothing = occluded >= NEARLY_ALL && agreement.explained <= HARDLY_EXPLAINED
+        let sees_nothing = occluded >= MOST_OCCLUDED && agreement.explained <= HARDLY_EXPLAINED
             || agreement.explained < MOSTLY_EXPLAINED && self.is_like_last(returns);
         if sees_nothing {
             self.last = log_reach(returns.points.iter());

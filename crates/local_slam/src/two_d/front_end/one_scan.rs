@@ -130,14 +130,8 @@ impl FrontEnd {
     /// What a scan sees of the place, and the scan without what hides part of it. What is hidden is counted.
     fn view(&mut self, time: Time, expected: &Expected) -> (View, Option<RangeData>) {
         let Expected { scan, cloud, prediction, motion } = expected;
-        if scan.returns.is_empty() || cloud.is_empty() {
-            self.count(
-                match scan.returns.is_empty() {
-                    true => IssueKind::ScanWithoutReturn,
-                    false => IssueKind::ScanWithoutReturnInRange,
-                },
-                time,
-            );
+        if cloud.is_empty() {
+            self.count(without_return(scan), time);
             return (View::Nothing, None);
         }
         // On trial the motion is a hypothesis that the scan may refute.
@@ -294,4 +288,9 @@ impl FrontEnd {
         });
         InsertedNode { gathered: self.gathered, ..InsertedNode::new(data, submaps) }
     }
+}
+
+/// What a scan is of which nothing can be matched.
+fn without_return(scan: &RangeData) -> IssueKind {
+    if scan.returns.is_empty() { IssueKind::ScanWithoutReturn } else { IssueKind::ScanWithoutReturnInRange }
 }
