@@ -134,8 +134,9 @@ impl FrontEnd {
             self.count(without_return(scan), time);
             return (View::Nothing, None);
         }
-        // On trial the motion is a hypothesis that the scan may refute.
-        let is_judged = self.tracker.is_adaptive() && !self.role.is_trial();
+        // On trial the motion is a hypothesis that the scan may refute, and in doubt the pose is one.
+        let is_believed = !self.role.is_trial() && self.belief == Belief::Sure;
+        let is_judged = self.tracker.is_adaptive() && is_believed;
         let (true, Some(motion), Some(submap)) = (is_judged, motion, self.active_submaps.matching_submap())
         else {
             return (View::Clear, None);
