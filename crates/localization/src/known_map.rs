@@ -2,7 +2,7 @@
 
 use portolan_geometry::{NearFrame, Point3f, Rigid3, Vector2};
 use portolan_grids::{BeamEnd, GridError, ScanAgreement};
-use portolan_mapping::{GraphState, NodeData, PoseGraph, Space, TrajectoryId};
+use portolan_mapping::{FromAboveError, GraphState, NodeData, PoseGraph, Space, TrajectoryId};
 use portolan_matching::MatcherOptionError;
 use portolan_sensor::PointCloud;
 
@@ -41,6 +41,16 @@ pub enum KnownMapError {
     /// A matcher cannot be made.
     #[error(transparent)]
     Matcher(#[from] MatcherOptionError),
+}
+
+impl From<FromAboveError> for KnownMapError {
+    fn from(error: FromAboveError) -> Self {
+        match error {
+            FromAboveError::Empty => Self::NoWalls,
+            FromAboveError::Grid(error) => Self::Grid(error),
+            FromAboveError::Matcher(error) => Self::Matcher(error),
+        }
+    }
 }
 
 impl KnownMapError {

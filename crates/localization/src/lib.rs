@@ -8,7 +8,6 @@ mod changes;
 mod distinctness;
 mod evidence;
 mod finder;
-mod from_above;
 mod growth;
 mod hypothesis;
 mod information;

@@ -2,7 +2,7 @@
 
 use portolan_geometry::{Point3f, Vector2, project_2d};
 use portolan_matching::{joint_cloud_2d, surface_tangents};
-use portolan_sensor::{PointCloud, voxel_filter_indices, voxel_filter_points};
+use portolan_sensor::{PointCloud, voxel_filter_indices};
 
 use crate::recent::RecentScans;
 
@@ -57,16 +57,7 @@ impl PlanarJoint {
     pub fn of(recent: &RecentScans<PlanarScan>) -> Self {
         let scans = recent.seen_from_newest();
         let clouds = scans.map(|(newest_from_scan, scan)| (project_2d(&newest_from_scan), &scan.cloud));
-        Self::of_cells(joint_cloud_2d(clouds, JOINT_CELL))
-    }
-
-    /// Of points at height 0, metres, in the frame of the newest scan: thinned.
-    pub fn thinned(points: &[Point3f]) -> Self {
-        Self::of_cells(PointCloud::new(voxel_filter_points(points, JOINT_CELL as f32)))
-    }
-
-    /// Of points of different cells.
-    fn of_cells(cells: PointCloud) -> Self {
+        let cells = joint_cloud_2d(clouds, JOINT_CELL);
         let stride = cells.points.len().div_ceil(MOST_JOINT_POINTS).max(1);
         let cloud = PointCloud::new(cells.points.into_iter().step_by(stride).collect());
         let points = cloud.points.iter().map(plane).collect();

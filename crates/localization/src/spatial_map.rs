@@ -2,16 +2,10 @@
 
 use std::sync::Arc;
 
-use portolan_geometry::{
-    Point3f, Rigid2, Rigid3, Vector3, embed_3d, is_valid_pose, normalize_angle, rotation_from_roll_pitch_yaw,
-    to_f32, yaw,
-};
+use portolan_geometry::{Point3f, Rigid3, Vector3, is_valid_pose, rotation_from_roll_pitch_yaw, to_f32, yaw};
 use portolan_grids::{BeamEnd, ScanAgreement};
 use portolan_lidar_odometry::{PlaneMap, PosePrior, Registration, RegistrationSettings, Sigmas};
-use portolan_mapping::{GraphState, NodeData, PoseGraph, Spatial, TrajectoryId};
-use portolan_matching::{
-    FastCorrelativeMatcher2d, FastCorrelativeOptions2d, PlaceIndex2d, SeveralPlaces, WantedPlaces,
-};
+use portolan_mapping::{GraphState, NodeData, PoseGraph, SeenFromAbove, Spatial, TrajectoryId};
 use portolan_sensor::PointCloud;
 use rayon::prelude::*;
 
@@ -19,7 +13,6 @@ use crate::along::SolidField;
 use crate::belief::{Freedom, MapError, Matrix6};
 use crate::changes::ChangeCounter;
 use crate::finder::LocalScan;
-use crate::from_above::from_above;
 use crate::information::{Contact, information};
 use crate::known_map::{Area, KnownMap, KnownMapError, ON_THE_WAY, ScanMatch, Window};
 use crate::known_planes::{add_cells, planes_of_every_other_node, with_nodes};
@@ -36,30 +29,8 @@ use crate::voxel_changes::{KeptSweep, KnownVoxels, VoxelChanges};
 
 /// Edge of the largest voxels of planes, metres.
 const VOXEL: f32 = 1.0;
-/// What a search of the picture from above proposes: what scores at least this, and this share of the best.
-const PROPOSALS: SeveralPlaces = SeveralPlaces {
-    min_score: 0.3,
-    share_of_best: 0.7,
-    separation: (1.0, 0.2),
-    most: 24,
-    lookups: 75_000_000,
-};
-/// And where each column counts as much as it tells: the share of what all points may tell at most is smaller.
-const TELLING: WantedPlaces = WantedPlaces {
-    min_score: 0.15,
-    share_of_best: PROPOSALS.share_of_best,
-    separation: PROPOSALS.separation,
-    most: PROPOSALS.most,
-    most_points: 320,
-    beam: 65_536,
-    lookups: 0,
-};
-/// So many of them, which fit best after registration, are looked into.
+/// So many of the places that are seen from above, which fit best after registration, are looked into.
 const MOST_PROPOSED: usize = 8;
-/// The scanner is at the height of a node no farther than this from its place, metres; nodes whose heights differ by
-/// so much are on different storeys.
-pub(crate) const NODES_AROUND: f64 = 10.0;
-const STOREY: f64 = 1.0;
 /// Around a place where it is proposed.
 pub(crate) const AROUND_PROPOSAL: Window = Window { metres: 0.8, radians: 0.12 };
 /// A registration reaches no farther than this, metres; wider windows are searched from several places.
@@ -82,12 +53,8 @@ pub struct SpatialMap {
     solid: SolidField,
     /// What scans may contradict.
     pub(crate) voxels: Arc<KnownVoxels>,
-    /// Finds places from above, where all columns count the same.
-    places: FastCorrelativeMatcher2d,
-    /// The same, where each counts as much as it tells.
-    telling: PlaceIndex2d,
-    /// Where nodes were taken.
-    nodes: Vec<Vector3>,
+    /// Finds places.
+    above: SeenFromAbove,
     registration: Registration,
     /// The share of a scan that the map explains where the scan does not belong: floors fit anywhere.
     by_chance: f32,
@@ -121,8 +88,7 @@ impl SpatialMap {
         }
         let nodes: Vec<Vector3> =
             state.nodes.values().map(|node| node.map_from_tracking.translation.vector).collect();
-        let (picture, telling) = from_above(&solid_cells, &nodes)?;
-        let places = FastCorrelativeMatcher2d::new(&picture, &FastCorrelativeOptions2d::default())?;
+        let above = SeenFromAbove::new(solid_cells.into_iter(), nodes)?;
         let settings = RegistrationSettings { min_matched_fraction: 0.0, ..Default::default() };
         let registration = Registration::new(settings);
         let (planes, occupancy) = (Arc::new(with_nodes(planes, state.nodes.values())), Arc::new(occupancy));
@@ -132,9 +98,7 @@ impl SpatialMap {
             occupancy,
             solid,
             voxels,
-            places,
-            telling,
-            nodes,
+            above,
             registration,
             by_chance: 0.0,
             error: MapError::USUAL,
@@ -145,51 +109,6 @@ impl SpatialMap {
         map.error = error_of_own_scans(&map, state);
         map.planes = all;
         Ok(map)
-    }
-
-    /// Places in an area, or anywhere, where columns fit: those that are best where all count the same, and those that are where
-    /// each counts as much as it tells. Most columns stand where the map is dense, and the first search may never leave it.
-    fn seen_from_above(&self, columns: &PointCloud, area: Option<Area>) -> Vec<Rigid2> {
-        let alike = || match area {
-            Some(Area { centre, metres }) => {
-                self.places.match_several_within(columns, &PROPOSALS, &centre, metres)
-            }
-            None => self.places.match_several(columns, &PROPOSALS),
-        };
-        let telling = || match area {
-            Some(Area { centre, metres }) => self.telling.find_within(columns, &TELLING, &centre, metres),
-            None => self.telling.find(columns, &TELLING),
-        };
-        let (alike, telling) = rayon::join(alike, telling);
-        let (metres, radians) = PROPOSALS.separation;
-        let mut places: Vec<Rigid2> = Vec::new();
-        for place in alike.into_iter().chain(telling.places).map(|found| found.pose) {
-            let is_near = |other: &Rigid2| {
-                (other.translation - place.translation).norm() < metres
-                    && normalize_angle(other.angle - place.angle).abs() < radians
-            };
-            if !places.iter().any(is_near) {
-                places.push(place);
-            }
-        }
-        places
-    }
-
-    /// Poses in space over a place seen from above: at the heights of the storeys there.
-    fn lifted(&self, pose: &Rigid3) -> Vec<Rigid3> {
-        let place = pose.translation.vector;
-        let off = |node: &Vector3| (node.xy() - place.xy()).norm();
-        let mut near: Vec<(f64, f64)> =
-            self.nodes.iter().filter(|n| off(n) < NODES_AROUND).map(|n| (off(n), n.z)).collect();
-        near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
-        // The nearest node at each height: stairs and ramps join storeys, so that no gap is between them.
-        let mut heights: Vec<f64> = Vec::new();
-        for (_, height) in near {
-            if heights.iter().all(|other| (height - other).abs() >= STOREY) {
-                heights.push(height);
-            }
-        }
-        heights.into_iter().map(|z| Rigid3::translation(0.0, 0.0, z) * pose).collect()
     }
 
     /// Puts points on planes near a guess; the guess itself where they fit none.
@@ -347,9 +266,9 @@ impl KnownMap for SpatialMap {
         area: Option<Area>,
         is_known: &(dyn Fn(&Rigid3) -> bool + Sync),
     ) -> Vec<Rigid3> {
-        let found = self.seen_from_above(&joint.columns.cloud, area);
-        let lifted: Vec<Rigid3> = found.iter().flat_map(|place| self.lifted(&embed_3d(place))).collect();
-        let settled = lifted.par_iter().filter(|pose| !is_known(pose)).map(|pose| {
+        let area = area.as_ref().map(|area| (&area.centre, area.metres));
+        let found = self.above.find(&joint.columns, area);
+        let settled = found.poses.par_iter().filter(|pose| !is_known(pose)).map(|pose| {
             let pose = self.settle(joint, pose, AROUND_PROPOSAL);
             let agreement = self.agreement_of(&joint.points, &pose);
             (agreement.explained - agreement.contradicted(), pose)

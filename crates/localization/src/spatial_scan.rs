@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use portolan_geometry::{Point3f, to_f32};
+use portolan_mapping::columns_of_scans;
 use portolan_sensor::{PointCloud, voxel_filter_points};
 
-use crate::planar_scan::PlanarJoint;
 use crate::recent::RecentScans;
 
 /// Points are thinned to voxels of this edge, metres, and for registration to this number.
@@ -16,11 +16,6 @@ const MOST_POINTS: usize = 600;
 const JUDGED_RANGE: f32 = 18.0;
 const SLICE: f32 = 0.3;
 const MOST_JUDGED: usize = 220;
-/// Edge of the columns that stand upright, metres, and the height of their floors.
-pub(crate) const COLUMN: f32 = 0.3;
-pub(crate) const COLUMN_SLICE: f32 = 0.2;
-/// A column stands if so many of its slices hold a point: of a sparse scan.
-const UPRIGHT: usize = 2;
 /// The cloud of all kept scans: reach, metres, and points for registration.
 const REACH: f32 = 30.0;
 const MOST_JOINT_POINTS: usize = 900;
@@ -69,21 +64,6 @@ fn over_heights(points: &[Point3f]) -> Vec<Point3f> {
     chosen
 }
 
-/// Columns that hold points in at least so many slices, as points at height 0 in their middle, in order.
-pub(crate) fn upright_columns(points: impl Iterator<Item = Point3f>, slices: usize) -> Vec<Point3f> {
-    let mut columns: BTreeMap<[i32; 2], Vec<i32>> = BTreeMap::new();
-    for p in points.filter(|p| p.coords.iter().all(|v| v.is_finite())) {
-        let [x, y] = [p.x, p.y].map(|v| (v / COLUMN).floor() as i32);
-        let (column, slice) = (columns.entry([x, y]).or_default(), (p.z / COLUMN_SLICE).floor() as i32);
-        if !column.contains(&slice) {
-            column.push(slice);
-        }
-    }
-    let upright = columns.into_iter().filter(|(_, found)| found.len() >= slices);
-    let middle = |v: i32| (v as f32 + 0.5) * COLUMN;
-    upright.map(|([x, y], _)| Point3f::new(middle(x), middle(y), 0.0)).collect()
-}
-
 /// Scans as one cloud in the frame of the newest.
 #[derive(Clone, Debug)]
 pub struct SpatialJoint {
@@ -92,7 +72,7 @@ pub struct SpatialJoint {
     /// More of them.
     pub thinned: Vec<Point3f>,
     /// What stands upright, seen from above.
-    pub columns: PlanarJoint,
+    pub columns: PointCloud,
 }
 
 impl SpatialJoint {
@@ -103,13 +83,9 @@ impl SpatialJoint {
             let pose = to_f32(&newest_from_scan);
             points.extend(scan.thinned.iter().map(|p| pose * p).filter(|p| p.coords.norm() < REACH));
         }
-        let columns = upright_columns(points.iter().copied(), UPRIGHT);
+        let columns = columns_of_scans(points.iter().copied());
         let thinned = voxel_filter_points(&points, VOXEL);
-        Self {
-            points: evenly(&thinned, MOST_JOINT_POINTS),
-            columns: PlanarJoint::thinned(&columns),
-            thinned: evenly(&thinned, MOST_THINNED),
-        }
+        Self { points: evenly(&thinned, MOST_JOINT_POINTS), columns, thinned: evenly(&thinned, MOST_THINNED) }
     }
 }
 
@@ -118,14 +94,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn floors_are_no_columns_and_few_of_what_judges() {
+    fn floors_are_few_of_what_judges() {
         let floor = (-40..40)
             .flat_map(|x| (-40..40).map(move |y| Point3f::new(0.3 * x as f32, 0.3 * y as f32, -1.0)));
         let wall = (-40..40)
             .flat_map(|x| (0..8).map(move |z| Point3f::new(0.3 * x as f32, 5.05, 0.3 * z as f32 - 0.9)));
         let points: Vec<Point3f> = floor.chain(wall).collect();
-        let columns = upright_columns(points.iter().copied(), 3);
-        assert!(columns.len() > 50 && columns.iter().all(|p| (p.y - 5.05).abs() < 0.3), "{columns:?}");
         let scan = SpatialScan::new(&PointCloud::new(points));
         let of_wall = scan.judged.iter().filter(|p| p.z > -0.95).count();
         assert!(scan.judged.len() <= MOST_JUDGED && of_wall * 10 > scan.judged.len() * 7, "{of_wall}");

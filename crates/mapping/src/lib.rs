@@ -3,6 +3,7 @@
 
 mod backend;
 mod collation;
+mod from_above;
 mod histogram;
 mod local_track;
 #[cfg(test)]
@@ -11,6 +12,7 @@ mod map;
 mod mapper;
 mod node;
 mod place_finder_2d;
+mod place_finder_3d;
 mod planar;
 mod plane_search;
 mod pose_graph;
@@ -21,6 +23,7 @@ mod stop;
 
 pub use backend::{BackendProgress, MapperError};
 pub use collation::{Ready, SensorCollation};
+pub use from_above::{FromAboveError, SeenFromAbove, columns_of_scans};
 pub use local_track::{LocalTrack, Placement, TrackedNode};
 pub use map::{Map, ScanPose};
 pub use mapper::{EndedTrajectory, Loss, Mapper, MapperSettings, MapperWork};
@@ -44,5 +47,5 @@ pub use pose_graph::{
     PoseGraphPolicy, Replacement, SearchCounts, SelfConsistency, SubmapEntry, TrajectoryEntry,
     TrajectoryState, TrimmedNode, TrimmedNodes, TrimmedTies, Trimmer, VoxelFate,
 };
-pub use space::{MatchedPose, Nearby, PlaceFinder, ProposedPlaces, SearchRegion, Space};
+pub use space::{MatchedPose, Nearby, PlaceFinder, ProposedPlaces, SearchRegion, Space, SubmapInMap};
 pub use spatial::SpatialMatcher;

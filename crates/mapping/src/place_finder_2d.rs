@@ -4,7 +4,7 @@ use portolan_geometry::{NearFrame, Rigid3, embed_3d, project_2d};
 use portolan_matching::{PlaceIndex2d, WantedPlaces, joint_cloud_2d};
 use portolan_submaps::Submap2d;
 
-use crate::{NodeData, PlaceFinder, ProposedPlaces};
+use crate::{NodeData, PlaceFinder, ProposedPlaces, SubmapInMap};
 
 /// Edge of a cell of the index, metres: walls of rooms and corridors are apart by several of them.
 const CELL: f64 = 0.2;
@@ -27,12 +27,12 @@ pub(crate) struct PlanarPlaces {
 }
 
 impl PlanarPlaces {
-    /// In submaps with these poses in the map; none if there is nothing to find scans by.
-    pub fn new(submaps: &[(Rigid3, &Submap2d)]) -> Option<Self> {
-        let frame = NearFrame::around(submaps.iter().map(|(pose, _)| pose.translation.vector));
+    /// In submaps; none if there is nothing to find scans by.
+    pub fn new(submaps: &[SubmapInMap<'_, Submap2d>]) -> Option<Self> {
+        let frame = NearFrame::around(submaps.iter().map(|part| part.map_from_submap.translation.vector));
         let grids: Vec<_> = submaps
             .iter()
-            .map(|(map_from_submap, submap)| {
+            .map(|SubmapInMap { map_from_submap, submap, .. }| {
                 let grid_from_submap = project_2d(&submap.local_from_submap);
                 (&submap.grid, project_2d(&frame.near(map_from_submap)) * grid_from_submap.inverse())
             })
@@ -61,13 +61,17 @@ mod tests {
     use super::*;
     use crate::made_rooms::{node, submap};
 
+    fn in_map((map_from_submap, submap): (Rigid3, &Submap2d)) -> SubmapInMap<'_, Submap2d> {
+        SubmapInMap { map_from_submap, submap, nodes: Vec::new() }
+    }
+
     #[test]
     fn a_stretch_of_way_is_found_in_the_submap_that_saw_it() {
         let (large, small) = ((9.0, 7.0), (6.0, 5.0));
         let pose = Rigid3::new(Vector3::new(30.0, -5.0, 0.0), Vector3::z() * 2.0);
         let submaps = [submap(large), submap(small), submap(large)];
         let poses = [Rigid3::translation(-20.0, 0.0, 0.0), pose, Rigid3::translation(0.0, 25.0, 0.0)];
-        let placed: Vec<_> = poses.into_iter().zip(&submaps).collect();
+        let placed: Vec<_> = poses.into_iter().zip(&submaps).map(in_map).collect();
         let places = PlanarPlaces::new(&placed).unwrap();
         let (here, there) = (node(small, (0.5, -0.8)), node(small, (-1.0, 0.2)));
         let step = Rigid3::translation(-1.5, 1.0, 0.0);
@@ -86,7 +90,8 @@ mod tests {
         let found = |origin: Vector3| {
             let poses =
                 [Rigid3::translation(-20.0, 0.0, 0.0), Rigid3::new(Vector3::x() * 30.0, Vector3::z())];
-            let placed: Vec<_> = poses.iter().map(|pose| moved(pose, &origin)).zip(&submaps).collect();
+            let placed: Vec<_> =
+                poses.iter().map(|pose| moved(pose, &origin)).zip(&submaps).map(in_map).collect();
             let found = PlanarPlaces::new(&placed).unwrap().find(&[(Rigid3::identity(), &here)], u64::MAX);
             found.poses.iter().map(|pose| moved(pose, &-origin)).collect::<Vec<_>>()
         };
@@ -102,7 +107,7 @@ mod tests {
         let size = (9.0, 7.0);
         let submaps = [submap(size), submap(size)];
         let poses = [Rigid3::identity(), Rigid3::translation(25.0, 3.0, 0.0)];
-        let placed: Vec<_> = poses.into_iter().zip(&submaps).collect();
+        let placed: Vec<_> = poses.into_iter().zip(&submaps).map(in_map).collect();
         let here = node(size, (1.0, 1.0));
         let found = PlanarPlaces::new(&placed).unwrap().find(&[(Rigid3::identity(), &here)], u64::MAX).poses;
         for pose in poses {

@@ -13,7 +13,7 @@ use crate::mapper::MapperWork;
 use crate::place_finder_2d::PlanarPlaces;
 use crate::{
     Constraint, MapperError, MatchAcceptance, MatchedPose, NodeData, OpenShift, PlaceFinder, SearchRegion,
-    Space,
+    Space, SubmapInMap,
 };
 
 /// What finds nodes in one finished submap.
@@ -61,7 +61,7 @@ impl Space for Planar {
     type LocalSlam = LocalSlam2d;
 
     const OPTIMIZES_WITH_IMU: bool = false;
-    const SEARCHES_WHOLE_MAPS: bool = true;
+    const STRETCH_METRES: f64 = 4.0;
 
     fn mapper_work() -> &'static MapperWork<Self> {
         &MAPPER_WORK
@@ -171,9 +171,6 @@ impl Space for Planar {
                     None => matcher.search.match_full(cloud, min_score),
                 }
             }
-            SearchRegion::NearNodes { .. } => {
-                matcher.search.match_full(cloud, options.global_localization_min_score as f32)
-            }
         }?;
         let refined =
             matcher.refinement.match_scan(found.pose.translation, &found.pose, cloud, &submap.grid).pose;
@@ -194,7 +191,7 @@ impl Space for Planar {
         Some(MatchedPose { submap_from_node, open, score: found.score })
     }
 
-    fn place_finder(submaps: &[(Rigid3, &Submap2d)]) -> Option<Box<dyn PlaceFinder>> {
+    fn place_finder(submaps: &[SubmapInMap<'_, Submap2d>]) -> Option<Box<dyn PlaceFinder>> {
         PlanarPlaces::new(submaps).map(|places| Box::new(places) as Box<dyn PlaceFinder>)
     }
 

@@ -1,40 +1,33 @@
 //! Finding nodes in submaps that know their planes: where a node is believed to be first, then around it
-//! as widely as it may be off by now.
+//! as widely as it may be off by now; and refining what a search anywhere found.
 
-use portolan_config::ConstraintBuilderOptions;
 use portolan_geometry::{Point3f, Rigid3, Vector3, is_valid_pose, to_f32};
 use portolan_grids::HybridGrid;
 use portolan_lidar_odometry::{
     PlaneMap, PosePrior, Registration, RegistrationResult, RegistrationSettings, Sigmas,
 };
-use portolan_matching::{NodeToFind, SearchReach3d, SubmapToSearch, judge_placement_3d};
-use portolan_sensor::PointCloud;
-use portolan_submaps::Submap3d;
+use portolan_matching::NodeToFind;
+use portolan_submaps::{SearchWindow, Submap3d};
 
-use crate::{MatchedPose, Nearby, NodeData};
+use crate::{MatchedPose, Nearby, NodeData, OpenShift};
 
-/// A believed or a found pose may be off by this.
+/// A pose that a search found may be off by this.
 const SIGMAS: Sigmas = Sigmas { translation: 0.2, rotation: 0.05 };
 /// Points may be off by this at the beginning of the refinement, metres.
 const REFINEMENT_SCALE: f64 = 0.4;
-/// The same where a node was found without a guess: gravity is off by a degree in the first second, which is
-/// 0.5 m in 30 m.
-const UNCERTAIN_SCALE: f64 = 0.8;
-/// A loop closure needs so large a fraction of its points on planes.
-const MIN_MATCHED_FRACTION: f64 = 0.5;
-/// What a node may be off after no way at all, and for each metre travelled since: metres and radians.
+/// What a node may be off after no way at all, and for each metre travelled since, three standard deviations: metres and radians.
 /// Matched to planes, trajectories drift by a fifth of this at most (simulated buildings, with and without
 /// an IMU); the nodes may have moved since the guess was made, too.
 const DRIFT_AT_START: (f64, f64) = (0.5, 0.035);
 const DRIFT_PER_METRE: (f64, f64) = (0.04, 0.002);
+const ERROR_SIGMAS: f64 = 3.0;
 
 /// A node that is off by so much, metres, is put where it belongs: 178 right loop closures in a corridor, a museum, a
 /// garage and a park, begun from four places each, were found again in 99 % from 0.5 m away, 89 % from 0.75 m, 56 % from
 /// 1 m.
 const CAPTURE: f64 = 0.75;
-/// Beginning at places so far from the guess, metres, too, finds nodes that are off by so much.
+/// So it is begun at places so far from the guess, metres, too, which finds nodes that are off by up to 1.5 m.
 const RING: f64 = 0.9;
-const CAPTURE_OF_RING: f64 = 1.5;
 
 /// Fewer nodes than this do not show the planes of a submap.
 const MIN_NODES: usize = 8;
@@ -75,75 +68,83 @@ fn planes_of_grid(grid: &HybridGrid, edge: f32) -> PlaneMap {
     map
 }
 
-/// How far around its guess a node is searched when the scanner travelled so many metres since: never
-/// farther than the options say.
-pub(crate) fn reach_after(travelled: f64, options: &SearchReach3d) -> SearchReach3d {
+/// How far off a guess may be when the scanner travelled so many metres since.
+pub(crate) fn drift_over(travelled: f64) -> SearchWindow {
     let grown = |at_start: f64, per_metre: f64| at_start + per_metre * travelled;
-    let metres = grown(DRIFT_AT_START.0, DRIFT_PER_METRE.0);
-    SearchReach3d {
-        linear_xy: options.linear_xy.min(metres),
-        linear_z: options.linear_z.min(metres),
-        angular: options.angular.min(grown(DRIFT_AT_START.1, DRIFT_PER_METRE.1)),
+    SearchWindow {
+        linear: grown(DRIFT_AT_START.0, DRIFT_PER_METRE.0),
+        angular: grown(DRIFT_AT_START.1, DRIFT_PER_METRE.1),
     }
 }
 
-/// The pose near `initial` that puts a node on the planes of a submap. None if it does not fit them, or if
-/// they leave a direction open: what a search found along a bare corridor is no measurement.
+/// The node on the planes of a submap near a pose that a search found. None if fewer of its
+/// points lie on planes than wanted, or if they leave a direction open: what a search found along a bare corridor is no measurement.
 pub(crate) fn refined_by_planes(
     planes: &PlaneMap,
-    clouds: [&PointCloud; 2],
-    initial: &Rigid3,
-) -> Option<Rigid3> {
-    let found = register_to_planes(planes, clouds, initial, REFINEMENT_SCALE)?;
-    found.degenerate.is_empty().then_some(found.pose)
+    node: &NodeToFind<'_>,
+    found: &Rigid3,
+    min_explained: f32,
+) -> Option<MatchedPose> {
+    let prior = PosePrior { pose: *found, sigmas: SIGMAS };
+    let refined = register_to_planes(planes, node, found, &prior, min_explained)?;
+    refined.degenerate.is_empty().then(|| matched(&refined))
 }
 
-/// None if the node does not fit the planes.
+/// The fraction of the points of a node that lie on planes to which they gave some themselves.
+pub(crate) fn explained_at(planes: &PlaneMap, node: &NodeToFind<'_>, pose: &Rigid3) -> f32 {
+    let prior = PosePrior { pose: *pose, sigmas: SIGMAS };
+    let found = register_to_planes(planes, node, pose, &prior, 0.0);
+    found.map_or(0.0, |found| found.matched_fraction as f32)
+}
+
+/// Puts the points of a node on planes. None if fewer than wanted lie on them then.
 fn register_to_planes(
     planes: &PlaneMap,
-    clouds: [&PointCloud; 2],
+    node: &NodeToFind<'_>,
     initial: &Rigid3,
-    scale: f64,
+    prior: &PosePrior,
+    min_explained: f32,
 ) -> Option<RegistrationResult> {
+    let clouds = [node.high_resolution_cloud, node.low_resolution_cloud];
     let points: Vec<Point3f> = clouds.iter().flat_map(|cloud| cloud.points.iter().copied()).collect();
-    let prior = PosePrior { pose: *initial, sigmas: SIGMAS };
     let registration = Registration::new(RegistrationSettings {
-        min_matched_fraction: MIN_MATCHED_FRACTION,
+        min_matched_fraction: f64::from(min_explained),
         ..RegistrationSettings::default()
     });
-    let found = registration.register_scan(planes, &points, initial, &prior, scale)?;
-    (found.matched_fraction >= MIN_MATCHED_FRACTION && is_valid_pose(&found.pose)).then_some(found)
+    let found = registration.register_scan(planes, &points, initial, prior, REFINEMENT_SCALE)?;
+    is_valid_pose(&found.pose).then_some(found)
 }
 
-/// Puts a node on the planes near its guess, which may be off by what a path of `travelled` metres explains, and judges
-/// the result as a search would.
+fn matched(found: &RegistrationResult) -> MatchedPose {
+    MatchedPose { submap_from_node: found.pose, open: None, score: found.matched_fraction as f32 }
+}
+
+/// Puts a node on the planes near its guess, which is off by no more than `error`.
 pub(crate) fn find_nearby(
-    submap: &Submap3d,
     planes: &PlaneMap,
     node: &NodeToFind<'_>,
     guess_submap_from_node: &Rigid3,
-    travelled: f64,
-    options: &ConstraintBuilderOptions,
+    error: SearchWindow,
+    min_explained: f32,
 ) -> Nearby {
-    let reach = DRIFT_AT_START.0 + DRIFT_PER_METRE.0 * travelled;
-    let from = |start: &Rigid3| fit(submap, planes, node, start, options);
-    let nearby = from(guess_submap_from_node);
-    if matches!(nearby, Nearby::Found(_)) || reach > CAPTURE_OF_RING {
-        return nearby;
-    }
-    // What is clear counts, and of that what fits best.
+    let sigmas = Sigmas { translation: error.linear / ERROR_SIGMAS, rotation: error.angular / ERROR_SIGMAS };
+    let prior = PosePrior { pose: *guess_submap_from_node, sigmas };
+    let from = |start: &Rigid3| fit(planes, node, start, &prior, min_explained);
+    // What is clear counts most, and of that what fits best.
     let rank = |nearby: &Nearby| match nearby {
-        Nearby::Found(found) => 1.0 + found.score,
+        Nearby::Found(MatchedPose { open: None, score, .. }) => 2.0 + score,
+        Nearby::Found(MatchedPose { score, .. }) => 1.0 + score,
         Nearby::Ambiguous => 1.0,
-        Nearby::Unknown | Nearby::Absent => 0.0,
+        Nearby::Absent | Nearby::Unknown => 0.0,
     };
-    let mut best = nearby;
-    if reach > CAPTURE {
+    let mut best = from(guess_submap_from_node);
+    let is_clear = matches!(best, Nearby::Found(MatchedPose { open: None, .. }));
+    if !is_clear && error.linear > CAPTURE {
         for nearby in ring(guess_submap_from_node).map(|start| from(&start)) {
             best = if rank(&nearby) > rank(&best) { nearby } else { best };
         }
     }
-    if best == Nearby::Unknown { Nearby::Absent } else { best }
+    best
 }
 
 /// Poses to begin with around a guess, at equal distances from it and from each other.
@@ -159,59 +160,28 @@ fn ring(guess_submap_from_node: &Rigid3) -> [Rigid3; 6] {
 
 /// Where a node lies on the planes near `start`.
 fn fit(
-    submap: &Submap3d,
     planes: &PlaneMap,
     node: &NodeToFind<'_>,
     start: &Rigid3,
-    options: &ConstraintBuilderOptions,
+    prior: &PosePrior,
+    min_explained: f32,
 ) -> Nearby {
-    let clouds = [node.high_resolution_cloud, node.low_resolution_cloud];
-    let Some(found) = register_to_planes(planes, clouds, start, REFINEMENT_SCALE) else {
-        return Nearby::Unknown;
+    let Some(found) = register_to_planes(planes, node, start, prior, min_explained) else {
+        return Nearby::Absent;
     };
-    match (judged(submap, node, &found.pose, options), found.degenerate.is_empty()) {
-        (Some(fits), true) => Nearby::Found(fits),
-        (Some(_), false) => Nearby::Ambiguous,
-        (None, _) => Nearby::Unknown,
-    }
-}
-
-/// The pose near one found anywhere in a submap that puts a node on its planes, judged as strictly as where
-/// nodes are believed to be. None if it does not fit, or may be shifted.
-pub(crate) fn confirmed(
-    submap: &Submap3d,
-    planes: &PlaneMap,
-    node: &NodeToFind<'_>,
-    found: &Rigid3,
-    options: &ConstraintBuilderOptions,
-) -> Option<MatchedPose> {
-    let clouds = [node.high_resolution_cloud, node.low_resolution_cloud];
-    let refined = register_to_planes(planes, clouds, found, UNCERTAIN_SCALE)?;
-    let judged = judged(submap, node, &refined.pose, options)?;
-    refined.degenerate.is_empty().then_some(judged)
-}
-
-/// The node at a pose, if its scores are those that a search asks for.
-fn judged(
-    submap: &Submap3d,
-    node: &NodeToFind<'_>,
-    submap_from_node: &Rigid3,
-    options: &ConstraintBuilderOptions,
-) -> Option<MatchedPose> {
-    let target = SubmapToSearch {
-        low_resolution_grid: &submap.low_resolution_grid,
-        rotational_histogram: &submap.rotational_histogram,
+    let only_shift = match (&found.degenerate.translations[..], &found.degenerate.rotations[..]) {
+        ([], []) => return Nearby::Found(matched(&found)),
+        ([shift], []) => shift,
+        _ => return Nearby::Ambiguous,
     };
-    let judged = judge_placement_3d(submap_from_node, node, &target, &submap.high_resolution_grid);
-    let wanted = &options.fast_correlative_scan_matcher_3d;
-    let fits = f64::from(judged.found.score) >= options.min_score
-        && f64::from(judged.low_resolution_score) >= wanted.min_low_resolution_score
-        && f64::from(judged.rotational_score) >= wanted.min_rotational_score;
-    fits.then_some(MatchedPose { submap_from_node: *submap_from_node, open: None, score: judged.found.score })
+    let direction = found.pose.rotation.inverse() * only_shift;
+    Nearby::Found(MatchedPose { open: Some(OpenShift { direction }), ..matched(&found) })
 }
 
 #[cfg(test)]
 mod tests {
+    use portolan_sensor::PointCloud;
+
     use super::*;
 
     /// Walls, floor and ceiling of a room with a chimney, points close together, as a scanner at the origin sees them.
@@ -233,61 +203,76 @@ mod tests {
 
     #[test]
     fn nodes_are_found_from_as_far_as_they_may_be_off() {
-        let options = portolan_config::Options::for_3d();
-        let local = &options.trajectory_builder.trajectory_builder_3d;
-        let constraints = &options.map_builder.pose_graph.constraint_builder;
-        let inserter = portolan_submaps::Inserter3d::new(&local.submaps, 120, false).unwrap().drawing_late();
         let cloud = PointCloud::new(room());
-        let histogram = portolan_matching::rotational_histogram(&cloud, 120);
-        let level = portolan_geometry::Quaternion::identity();
-        let mut submap = Submap3d::new(Point3f::origin(), level, &inserter.into()).unwrap();
-        let scan = portolan_submaps::Scan3d {
-            range_data_in_local: portolan_sensor::RangeData {
-                origin: Point3f::origin(),
-                returns: cloud.clone(),
-                misses: PointCloud::default(),
-            },
-            rotational_histogram: histogram.clone(),
-            local_from_gravity_aligned: level,
-        };
-        use portolan_submaps::GrowingSubmap;
-        (0..12).for_each(|_| assert!(submap.insert(&scan)));
-        submap.finish();
         let sparse = PointCloud::new(cloud.points.iter().step_by(37).copied().collect());
         let node = NodeToFind {
             high_resolution_cloud: &sparse,
             low_resolution_cloud: &sparse,
-            rotational_histogram: &histogram,
-            gravity_alignment: level,
+            rotational_histogram: &[],
+            gravity_alignment: portolan_geometry::Quaternion::identity(),
         };
         let mut planes = PlaneMap::new(1.0);
         for _ in 0..12 {
             cloud.points.iter().for_each(|p| planes.insert_seen_from(p, &Point3f::origin()));
         }
         let planes = planes.compacted();
+        let explained = explained_at(&planes, &node, &Rigid3::identity());
+        assert!(explained > 0.75, "{explained}");
         let from = |off: f64, travelled: f64| {
             let guess = Rigid3::translation(off, 0.3 * off, 0.0);
-            find_nearby(&submap, &planes, &node, &guess, travelled, constraints)
+            find_nearby(&planes, &node, &guess, drift_over(travelled), 0.5)
         };
         for (off, travelled) in [(0.0, 1.0), (0.4, 1.0), (1.0, 20.0)] {
             let Nearby::Found(found) = from(off, travelled) else {
                 panic!("{off} {:?}", from(off, travelled))
             };
             assert!(found.submap_from_node.translation.vector.norm() < 0.05, "{off} {found:?}");
+            assert!(found.open.is_none() && found.score > 0.75, "{off} {found:?}");
         }
-        // Much farther off it is not there, or has to be searched if it may be.
+        // Much farther off it is not there.
         assert_eq!(from(6.0, 1.0), Nearby::Absent);
-        assert_eq!(from(6.0, 20.0), Nearby::Absent);
-        assert_eq!(from(6.0, 100.0), Nearby::Unknown);
     }
 
     #[test]
-    fn the_longer_the_way_the_wider_the_search() {
-        let options = SearchReach3d { linear_xy: 5.0, linear_z: 1.0, angular: 0.26 };
-        let near = reach_after(10.0, &options);
-        assert!((near.linear_xy - 0.9).abs() < 1e-9 && (near.linear_z - 0.9).abs() < 1e-9);
-        assert!((near.angular - 0.055).abs() < 1e-9);
-        assert_eq!(reach_after(f64::INFINITY, &options), options);
+    fn along_a_bare_corridor_a_node_is_found_across_it() {
+        let walls = (-90..90).flat_map(|i| {
+            let along = 0.1 * i as f32;
+            let sides =
+                (-10..15).flat_map(move |k| [-2.0, 2.0].map(|y| Point3f::new(along, y, 0.1 * k as f32)));
+            sides
+                .chain((-6..6).flat_map(move |j| [-1.0, 1.5].map(|z| Point3f::new(along, 0.3 * j as f32, z))))
+        });
+        let all: Vec<Point3f> = walls.collect();
+        let mut planes = PlaneMap::new(1.0);
+        for _ in 0..12 {
+            all.iter().for_each(|p| planes.insert_seen_from(p, &Point3f::origin()));
+        }
+        let near = all.iter().filter(|p| p.x.abs() < 5.0).step_by(23).copied();
+        let (cloud, empty) = (PointCloud::new(near.collect()), PointCloud::default());
+        let node = NodeToFind {
+            high_resolution_cloud: &cloud,
+            low_resolution_cloud: &empty,
+            rotational_histogram: &[],
+            gravity_alignment: portolan_geometry::Quaternion::identity(),
+        };
+        let turn = portolan_geometry::rotation_from_roll_pitch_yaw(0.0, 0.0, 2.0);
+        let guess = Rigid3::from_parts(Vector3::new(0.7, 0.2, 0.0).into(), turn.inverse());
+        let turned: Vec<Point3f> =
+            cloud.points.iter().map(|p| to_f32(&guess).rotation.inverse() * p).collect();
+        let turned = PointCloud::new(turned);
+        let found = find_nearby(
+            &planes.compacted(),
+            &NodeToFind { high_resolution_cloud: &turned, ..node },
+            &guess,
+            drift_over(5.0),
+            0.5,
+        );
+        let Nearby::Found(MatchedPose { submap_from_node, open: Some(open), .. }) = found else {
+            panic!("{found:?}")
+        };
+        assert!(submap_from_node.translation.y.abs() < 0.05, "{submap_from_node}");
+        let along = submap_from_node.rotation * open.direction;
+        assert!(along.x.abs() > 0.999, "{along}");
     }
 
     #[test]

@@ -81,10 +81,6 @@ fn add_region(question: &mut Fingerprint, region: &SearchRegion) {
             question.add([acceptance.min_explained, acceptance.max_contradiction]);
             question.add(*around_guess);
         }
-        SearchRegion::NearNodes { level_from_submap, half_size } => {
-            question.add(2u32);
-            question.add((*level_from_submap, *half_size));
-        }
     }
 }
 

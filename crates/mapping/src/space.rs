@@ -24,18 +24,20 @@ pub enum SearchRegion {
     },
     /// Anywhere in the submap, or near a guess that was made without knowing where the node is.
     WholeSubmap {
-        /// Which matches are believed (2D).
+        /// Which matches are believed.
         acceptance: MatchAcceptance,
-        /// How far around the guess, if a search of the whole map proposed the place; none: anywhere (2D).
+        /// How far around the guess, if a search of the whole map proposed the place; none: anywhere.
         around_guess: Option<SearchWindow>,
     },
-    /// At any heading in the box around the guess (in 3D).
-    NearNodes {
-        /// Rotation from the submap to a level frame.
-        level_from_submap: Quaternion,
-        /// Half of the size of the box along the axes of the submap, metres.
-        half_size: Vector3,
-    },
+}
+
+impl SearchRegion {
+    /// Which matches are believed.
+    pub fn acceptance(&self) -> MatchAcceptance {
+        match self {
+            Self::Window { acceptance, .. } | Self::WholeSubmap { acceptance, .. } => *acceptance,
+        }
+    }
 }
 
 /// A node found in a submap.
@@ -43,7 +45,7 @@ pub enum SearchRegion {
 pub struct MatchedPose {
     /// Pose of the node (in the frame that constraints use) in the submap.
     pub submap_from_node: Rigid3,
-    /// The direction along which the match does not tell the place (2D).
+    /// The direction along which the match does not tell the place.
     pub open: Option<OpenShift>,
     /// Score in [0, 1].
     pub score: f32,
@@ -60,6 +62,16 @@ pub enum Nearby {
     Ambiguous,
     /// It is nowhere it may be; searching would not find it either.
     Absent,
+}
+
+/// A submap where the map puts it.
+pub struct SubmapInMap<'a, M> {
+    /// Its pose.
+    pub map_from_submap: Rigid3,
+    /// The submap.
+    pub submap: &'a M,
+    /// Where its nodes were taken, metres in the map.
+    pub nodes: Vec<Vector3>,
 }
 
 /// Finds scans anywhere in a map at once.
@@ -92,8 +104,8 @@ pub trait Space: LocalSpace {
     /// Whether the optimisation uses IMU samples, so that they are kept.
     const OPTIMIZES_WITH_IMU: bool;
 
-    /// Whether [`Space::place_finder`] finds places.
-    const SEARCHES_WHOLE_MAPS: bool = false;
+    /// Whole maps are searched for scans so far along the way to either side of a node, metres.
+    const STRETCH_METRES: f64;
 
     /// Memory for matchers that are kept between searches, bytes. In 2D building one takes a millisecond
     /// or two, keeping one a few megabytes.
@@ -128,16 +140,30 @@ pub trait Space: LocalSpace {
     ) {
     }
 
-    /// Looks whether the node is close to where it is believed to be, from which the scanner travelled so many metres;
-    /// that takes less than searching.
+    /// Looks whether the node is close to where it is believed or proposed to be, which takes less than searching.
     fn find_nearby(
         _submap: &Self::Submap,
         _node: &NodeData,
         _guess_submap_from_node: &Rigid3,
-        _travelled: f64,
+        _region: &SearchRegion,
         _options: &ConstraintBuilderOptions,
     ) -> Nearby {
         Nearby::Unknown
+    }
+
+    /// What a match has to be like to be believed where scans agree with the map as well as usual: as wanted, or in 3D as the
+    /// least score says, which is the fraction of the points on planes.
+    fn wanted_acceptance(wanted: MatchAcceptance, _options: &ConstraintBuilderOptions) -> MatchAcceptance {
+        wanted
+    }
+
+    /// How a complete submap agrees with the scan of a node that was inserted into it; none in 2D, where local SLAM tells.
+    fn own_agreement(
+        _submap: &Self::Submap,
+        _node: &NodeData,
+        _submap_from_node: &Rigid3,
+    ) -> Option<ScanAgreement> {
+        None
     }
 
     /// The submap drawn again from the scans of all its nodes, each at its pose in the submap; none where that is not
@@ -182,11 +208,9 @@ pub trait Space: LocalSpace {
         options: &ConstraintBuilderOptions,
     ) -> Option<MatchedPose>;
 
-    /// What finds scans anywhere in many submaps at once, given with their poses in the map; none where there is no such
-    /// thing (3D), or nothing to find scans by.
-    fn place_finder(_submaps: &[(Rigid3, &Self::Submap)]) -> Option<Box<dyn PlaceFinder>> {
-        None
-    }
+    /// What finds scans anywhere in many submaps at once; none where there is nothing to find scans by, or submaps do not know
+    /// their planes (3D).
+    fn place_finder(submaps: &[SubmapInMap<'_, Self::Submap>]) -> Option<Box<dyn PlaceFinder>>;
 
     /// Moves submaps, nodes, landmarks and fixed-frame origins to where the constraints and
     /// measurements agree best.

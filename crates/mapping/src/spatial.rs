@@ -2,17 +2,22 @@
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
 use portolan_geometry::{Point3f, Quaternion, Rigid3, Vector2, is_valid_pose};
+use portolan_grids::ScanAgreement;
 use portolan_local_slam::{LocalSlam3d, LocalSlam3dSettings, Spatial};
 use portolan_matching::{
-    FastCorrelativeMatcher3d, GradientMatcher3d, NodeToFind, SearchReach3d, SubmapToSearch,
+    FastCorrelativeMatcher3d, GradientMatcher3d, NodeToFind, SubmapToSearch, judge_placement_3d,
 };
 use portolan_optimization::{OptimizationData, OptimizationSummary, optimize_3d};
 use portolan_sensor::SensorId;
 use portolan_submaps::{Submap3d, clouds_in_grids, fast_matcher_options_3d, gradient_matcher_3d};
 
 use crate::mapper::MapperWork;
-use crate::plane_search::{confirmed, find_nearby, planes_of_loaded, reach_after, refined_by_planes};
-use crate::{Constraint, MapperError, MatchedPose, Nearby, NodeData, SearchRegion, Space};
+use crate::place_finder_3d::SpatialPlaces;
+use crate::plane_search::{drift_over, explained_at, find_nearby, planes_of_loaded, refined_by_planes};
+use crate::{
+    Constraint, MapperError, MatchAcceptance, MatchedPose, Nearby, NodeData, PlaceFinder, SearchRegion,
+    Space, SubmapInMap,
+};
 
 /// Cells of this probability are solid.
 const SOLID: f32 = 0.55;
@@ -30,6 +35,8 @@ impl Space for Spatial {
     type LocalSlam = LocalSlam3d;
 
     const OPTIMIZES_WITH_IMU: bool = true;
+    /// Of the stretch of a car, which makes a node each metre or two, as many scans as of a walker.
+    const STRETCH_METRES: f64 = 12.0;
     /// Building one takes 70 ms, keeping one 10 MB (submap of a hall of 30 m by 20 m).
     const MATCHER_CACHE_BYTES: usize = 160 << 20;
 
@@ -82,15 +89,41 @@ impl Space for Spatial {
         submap: &Submap3d,
         node: &NodeData,
         guess_submap_from_node: &Rigid3,
-        travelled: f64,
+        region: &SearchRegion,
         options: &ConstraintBuilderOptions,
     ) -> Nearby {
-        match &submap.planes {
-            Some(planes) => {
-                find_nearby(submap, planes, &to_find(node), guess_submap_from_node, travelled, options)
+        let Some(planes) = &submap.planes else { return Nearby::Unknown };
+        let wanted = to_find(node);
+        let error = match region {
+            SearchRegion::Window { travelled, .. } => drift_over(*travelled),
+            SearchRegion::WholeSubmap { around_guess: Some(around), .. } => *around,
+            SearchRegion::WholeSubmap { .. } => return Nearby::Unknown,
+        };
+        let found =
+            find_nearby(planes, &wanted, guess_submap_from_node, error, region.acceptance().min_explained);
+        match found {
+            Nearby::Found(found)
+                if matches!(region, SearchRegion::WholeSubmap { .. })
+                    && !meets_solid_cells(submap, &wanted, &found.submap_from_node, options) =>
+            {
+                Nearby::Absent
             }
-            None => Nearby::Unknown,
+            found => found,
         }
+    }
+
+    fn place_finder(submaps: &[SubmapInMap<'_, Submap3d>]) -> Option<Box<dyn PlaceFinder>> {
+        Some(Box::new(SpatialPlaces::new(submaps)?))
+    }
+
+    /// Planes explain points whether or not other sweeps met the same cells, which those of a car seldom do.
+    fn wanted_acceptance(_: MatchAcceptance, options: &ConstraintBuilderOptions) -> MatchAcceptance {
+        MatchAcceptance { min_explained: options.min_score as f32, ..MatchAcceptance::default() }
+    }
+
+    fn own_agreement(submap: &Submap3d, node: &NodeData, submap_from_node: &Rigid3) -> Option<ScanAgreement> {
+        let explained = explained_at(submap.planes.as_ref()?, &to_find(node), submap_from_node);
+        Some(ScanAgreement { explained, in_free_space: 0.0, through_solid: 0.0 })
     }
 
     fn find_node(
@@ -110,16 +143,10 @@ impl Space for Spatial {
         // Yaw is searched about the z axis of the local map, which points up as that of the global one.
         let local_from_submap = submap.local_from_submap;
         let found = match region {
-            SearchRegion::Window { travelled, .. } => {
+            SearchRegion::Window { .. } => {
                 let local_from_node = local_from_submap * guess_submap_from_node;
                 let min_score = options.min_score as f32;
-                let widest = matcher.search.reach_of_options();
-                let reach = match submap.planes {
-                    Some(_) => reach_after(travelled, &widest),
-                    None => widest,
-                };
-                let poses = (&local_from_node, &local_from_submap);
-                matcher.search.match_within(&reach, poses.0, poses.1, &wanted, &target, min_score)
+                matcher.search.match_local(&local_from_node, &local_from_submap, &wanted, &target, min_score)
             }
             SearchRegion::WholeSubmap { .. } => {
                 // Of a node far away only gravity is known.
@@ -127,26 +154,10 @@ impl Space for Spatial {
                 let min_score = options.global_localization_min_score as f32;
                 matcher.search.match_full(&node_rotation, &submap_rotation, &wanted, &target, min_score)
             }
-            SearchRegion::NearNodes { level_from_submap, half_size } => {
-                let reach = SearchReach3d {
-                    linear_xy: half_size.x.max(half_size.y),
-                    linear_z: half_size.z,
-                    angular: std::f64::consts::PI,
-                };
-                let level_from_submap = Rigid3::from_parts(Default::default(), level_from_submap);
-                let level_from_node = level_from_submap * guess_submap_from_node;
-                let poses = (&level_from_node, &level_from_submap);
-                let min_score = options.global_localization_min_score as f32;
-                matcher.search.propose(&reach, poses.0, poses.1, &wanted, &target, min_score)
-            }
         }?;
         let initial = found.found.pose;
         if let Some(planes) = &submap.planes {
-            if matches!(region, SearchRegion::NearNodes { .. }) {
-                return confirmed(submap, planes, &wanted, &initial, options);
-            }
-            let submap_from_node = refined_by_planes(planes, clouds, &initial)?;
-            return Some(MatchedPose { submap_from_node, open: None, score: found.found.score });
+            return refined_by_planes(planes, &wanted, &initial, region.acceptance().min_explained);
         }
         let grids = clouds_in_grids(clouds, submap);
         let refined = matcher.refinement.match_scan(initial.translation.vector, &initial, &grids).pose;
@@ -167,19 +178,42 @@ impl Space for Spatial {
     }
 
     fn solid_cell_centers(submap: &Submap3d) -> Option<Vec<Point3f>> {
-        let grid = &submap.high_resolution_grid;
-        let mut centers = Vec::new();
-        grid.for_each_cell(|cell, _| {
-            if grid.probability(cell) > SOLID {
-                centers.push(grid.cell_center(cell));
-            }
-        });
-        Some(centers)
+        Some(solid_cells(submap))
     }
 
     fn cell_size(submap: &Submap3d) -> f64 {
         f64::from(submap.high_resolution_grid.resolution())
     }
+}
+
+/// Centres of the solid fine cells of a submap, in its own frame, metres.
+pub(crate) fn solid_cells(submap: &Submap3d) -> Vec<Point3f> {
+    let grid = &submap.high_resolution_grid;
+    let mut centers = Vec::new();
+    grid.for_each_cell(|cell, _| {
+        if grid.probability(cell) > SOLID {
+            centers.push(grid.cell_center(cell));
+        }
+    });
+    centers
+}
+
+/// Whether a node that may be anywhere meets solid cells of a submap where its planes put it: what a node sees lies in planes of
+/// other buildings, too, but what it sees far away does not meet their coarse cells.
+fn meets_solid_cells(
+    submap: &Submap3d,
+    node: &NodeToFind<'_>,
+    submap_from_node: &Rigid3,
+    options: &ConstraintBuilderOptions,
+) -> bool {
+    let target = SubmapToSearch {
+        low_resolution_grid: &submap.low_resolution_grid,
+        rotational_histogram: &submap.rotational_histogram,
+    };
+    let judged = judge_placement_3d(submap_from_node, node, &target, &submap.high_resolution_grid);
+    f64::from(judged.found.score) >= options.global_localization_min_score
+        && f64::from(judged.low_resolution_score)
+            >= options.fast_correlative_scan_matcher_3d.min_low_resolution_score
 }
 
 fn to_find(node: &NodeData) -> NodeToFind<'_> {

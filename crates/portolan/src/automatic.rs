@@ -134,27 +134,20 @@ struct Keyframes {
     /// Radians.
     max_angle: f64,
     per_half_submap: usize,
-    /// The part of them that is looked for in older submaps.
-    searched: f64,
     /// At least so many points each keeps in its fine and in its coarse cloud, if it has them.
     points: [usize; 2],
 }
 
 /// Inside, or without IMU: about every second sweep at walking speed; the sweeps between are registered, too. Every sweep a key
 /// frame costs a fourth more time for maps that are a little better (docs/experiments/2026-11-settings-3d.md).
-const KEYFRAMES_USUAL: Keyframes = Keyframes {
-    max_distance: 0.15,
-    max_angle: 0.05,
-    per_half_submap: 45,
-    searched: 0.15,
-    points: [150, 200],
-};
+const KEYFRAMES_USUAL: Keyframes =
+    Keyframes { max_distance: 0.15, max_angle: 0.05, per_half_submap: 45, points: [150, 200] };
 
 /// Where ranges are long, sweeps see the same two metres further on, and where a gyroscope measures, what lies between key
 /// frames needs no pose graph: every fifth sweep at walking speed, every second or third of a car. A map keeps as many
 /// points in a metre of way (docs/experiments/2026-11-gyroscope-prior.md).
 const KEYFRAMES_FAR_APART: Keyframes =
-    Keyframes { max_distance: 2.0, max_angle: 0.5, per_half_submap: 24, searched: 0.25, points: [400, 500] };
+    Keyframes { max_distance: 2.0, max_angle: 0.5, per_half_submap: 24, points: [400, 500] };
 
 fn settings_3d(sensors: &Sensors) -> Options {
     let mut options = Options::for_3d();
@@ -185,18 +178,22 @@ fn settings_3d(sensors: &Sensors) -> Options {
     let graph = &mut options.map_builder.pose_graph;
     graph.constraint_builder.loop_closure_rotation_weight = 5e3;
     graph.optimization_problem.huber_scale = 200.0;
-    // One in a metre of way for each submap.
-    graph.constraint_builder.sampling_ratio = keyframes.searched;
+    graph.constraint_builder.min_score = MIN_EXPLAINED_3D;
+    options.portolan.loop_search_spacing = 1.0;
     // Pieces of map that begin where the pose was lost are looked for in the rest, and believed once matches agree.
     options.portolan.global_localization_min_matches = 3;
     graph.global_sampling_ratio = 0.1;
-    graph.constraint_builder.global_localization_min_score = PROPOSED_SCORE_3D;
+    graph.constraint_builder.global_localization_min_score = MIN_SCORE_ANYWHERE_3D;
     options
 }
 
-/// Scores of whole submaps in 3D only propose places; what is found is refined and has to score `min_score` then. Right
-/// places score up to 0.15 less before, because cells and steps of yaw are coarse.
-const PROPOSED_SCORE_3D: f64 = 0.4;
+/// So many of the points of a loop closure lie on planes, where nearly all do on the way: right ones in simulated museums and garages
+/// reach 0.5 in the median, places 0.1 to 1 m off in 3 of 100.
+const MIN_EXPLAINED_3D: f64 = 0.5;
+
+/// Mean probability of the fine cells that a node meets where a search of the whole map finds it: in the median right places of real
+/// drives reach 0.43 to 0.67 (docs/experiments/2026-11-real-loops-3d.md).
+const MIN_SCORE_ANYWHERE_3D: f64 = 0.4;
 
 /// A scan is measured in an old submap as well as in its own, so that both weigh the same. The robust loss keeps a wrong
 /// loop closure from pulling as hard as it is wrong. Cartographer weighs loop closures 22 (translation) and 63 times
@@ -218,7 +215,7 @@ pub fn search_in_known_map(options: &mut Options, submaps: usize) {
     let golden = if options.portolan.match_surfaces { 0.618 } else { 1.618 };
     graph.global_sampling_ratio = (golden / submaps.max(1) as f64).min(1.0);
     if options.portolan.match_surfaces {
-        graph.constraint_builder.global_localization_min_score = PROPOSED_SCORE_3D;
+        graph.constraint_builder.global_localization_min_score = MIN_SCORE_ANYWHERE_3D;
     }
     // Once it is found it is not lost any more.
     graph.global_constraint_search_after_n_seconds = f64::INFINITY;

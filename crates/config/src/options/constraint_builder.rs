@@ -13,13 +13,14 @@ options! {
         /// Share of the nodes near a submap that are matched against it. Raise it to find more loop
         /// closures, lower it when mapping falls behind the sensor.
         sampling_ratio: f64 = 0.3, "ratio", Bounds::UNIT;
-        /// Nodes farther than this from the origin of a submap are not matched against it (search in a
-        /// window only). Raise it for scanners with a long range.
+        /// Nodes farther than this from the origin of a submap, or in 3D with planes from all places where its nodes
+        /// were taken, are not matched against it (search in a window only). Raise it for scanners with a long range.
         max_constraint_distance: f64 = 15.0, "m", Bounds::at_least(0.0).or_infinite();
-        /// Least score of a match in a window. Raise it against wrong loop closures, lower it when true
+        /// Least score of a match in a window; in 3D with planes the least fraction of its points on planes, where
+        /// nearly all points are in the submaps of their own, and less where fewer are. Raise it against wrong loop closures, lower it when true
         /// ones are missed.
         min_score: f64 = 0.55, "score", Bounds::UNIT;
-        /// Least score of a match against a whole submap. Raise it when relocalisation lands in the wrong
+        /// Least score of a match against a whole submap, or where a search of the whole map proposes it in 3D. Raise it when relocalisation lands in the wrong
         /// place.
         global_localization_min_score: f64 = 0.6, "score", Bounds::UNIT;
         /// Weight of the translation of a loop closure. Raise it when loops do not close fully.

@@ -35,7 +35,7 @@ options! {
         /// over trajectory and loop closures. 0 takes the windows of `fast_correlative_scan_matcher` instead, as
         /// Cartographer does. Raise it when a long path comes back to where it was and the loop is not closed.
         loop_search_drift: f64 = 0.0, "m/m", Bounds::within(0.0, 10.0);
-        /// In 2D: a node is looked for in a submap once in so many metres of path, however many scans
+        /// A node is looked for in a submap once in so many metres of path, however many scans
         /// that are. 0 takes `sampling_ratio` instead, as Cartographer does. Lower it when loops are missed.
         loop_search_spacing: f64 = 0.0, "m", Bounds::within(0.0, 1000.0);
         /// In 2D: fraction of the beams of a node that must end at something solid that the submap knows, for a

@@ -40,7 +40,7 @@ impl<S: Space> PoseGraph<S> {
     /// Searches the optimised map for loop closures that were missed while it was not yet what it is, and optimises it with
     /// them, until no more are found.
     pub(super) fn search_missed(&mut self) {
-        if self.policy.loops.drift == 0.0 {
+        if !self.searches_whole_maps() {
             return;
         }
         let most = SHARE_OF_SEARCHES * self.search.counts().window_searched as f64;
@@ -100,7 +100,6 @@ impl<S: Space> PoseGraph<S> {
     fn untied_pairs(&self) -> Vec<(SubmapId, NodeId)> {
         let tied: BTreeSet<(SubmapId, NodeId)> =
             self.state.constraints.iter().map(|c| (c.submap_id, c.node_id)).collect();
-        let farthest = self.options.constraint_builder.max_constraint_distance;
         let nodes: Vec<(NodeId, Vector3)> = self
             .problem
             .nodes
@@ -108,13 +107,15 @@ impl<S: Space> PoseGraph<S> {
             .map(|(id, node)| (*id, node.map_from_node.translation.vector))
             .collect();
         let finished = self.state.submaps.iter().filter(|(_, s)| s.insertion_finished && s.submap.is_some());
-        let near = finished.filter_map(|(id, _)| Some((*id, self.problem.submaps.get(id)?))).flat_map(
-            |(submap_id, map_from_submap)| {
+        let near = finished
+            .filter_map(|(id, entry)| Some(((*id, entry), self.problem.submaps.get(id)?)))
+            .flat_map(|(submap, map_from_submap)| {
                 let place = map_from_submap.translation.vector;
-                let near = nodes.iter().filter(move |(_, node)| (node - place).norm() <= farthest);
-                near.map(move |(node_id, _)| (submap_id, *node_id))
-            },
-        );
+                let near = nodes
+                    .iter()
+                    .filter(move |(id, node)| self.is_in_reach(submap, *id, &(node - place), 0.0));
+                near.map(move |(node_id, _)| (submap.0, *node_id))
+            });
         near.filter(|pair| !tied.contains(pair) && !self.both_frozen(pair.1, pair.0))
             .filter(|(s, n)| self.state.connectivity.are_connected(s.trajectory_id, n.trajectory_id))
             .collect()

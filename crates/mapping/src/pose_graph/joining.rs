@@ -90,12 +90,12 @@ impl<S: Space> PoseGraph<S> {
         let parts = self.searched_parts(joining);
         let mut is_found = false;
         for (i, round) in spread.chunks(NODES_A_ROUND).enumerate() {
-            let is_hopeless = S::SEARCHES_WHOLE_MAPS && !is_found && i * NODES_A_ROUND >= HOPELESS_NODES;
+            let is_hopeless = !parts.is_empty() && !is_found && i * NODES_A_ROUND >= HOPELESS_NODES;
             let may_search = self.places.may_search() && !self.stop.is_asked();
             if self.is_joined(id, joining) || is_hopeless || !may_search {
                 return;
             }
-            if S::SEARCHES_WHOLE_MAPS {
+            if !parts.is_empty() {
                 let most_lookups = self.places.most_lookups_of_round();
                 let lookups = self.add_proposed(round, &parts, most_lookups);
                 self.places.spend(lookups);
@@ -111,9 +111,8 @@ impl<S: Space> PoseGraph<S> {
     /// Schedules the search for nodes in each submap of the rest.
     fn add_everywhere(&mut self, node_ids: &[NodeId], joining: &BTreeSet<TrajectoryId>) {
         for (submap_id, node_id) in self.pairs(node_ids, |id| !joining.contains(&id)) {
-            let (guess, region) = self.anywhere(node_id, submap_id);
             if let Some((submap, node)) = self.state.pair(submap_id, node_id) {
-                self.search.add_global(submap, node, guess, region);
+                self.search.add_anywhere(submap, node);
             }
         }
     }
@@ -132,11 +131,12 @@ impl<S: Space> PoseGraph<S> {
             self.spaced_nodes().into_iter().partition(|id| joining.contains(&id.trajectory_id));
         let mut pairs = self.pairs(&new, |id| !joining.contains(&id));
         pairs.extend(self.pairs(&old, |id| joining.contains(&id)));
-        let farthest = self.options.constraint_builder.max_constraint_distance;
         let with_guess = pairs.into_iter().filter_map(|(submap_id, node_id)| {
             let map_from_submap = self.problem.submaps.get(&submap_id)?;
             let guess = map_from_submap.inverse() * self.problem.nodes.get(&node_id)?.map_from_node;
-            (guess.translation.vector.norm() <= farthest).then_some((submap_id, node_id, guess))
+            let entry = self.state.submaps.get(&submap_id)?;
+            let off = guess.translation.vector;
+            self.is_in_reach((submap_id, entry), node_id, &off, 0.0).then_some((submap_id, node_id, guess))
         });
         let near: Vec<_> = with_guess.collect();
         let share = (MOST_PAIRS as f64 / near.len().max(1) as f64).min(1.0);

@@ -22,6 +22,7 @@ mod patching;
 mod patching_3d;
 mod places;
 mod policy;
+mod reach;
 mod redrawing;
 mod renewing;
 mod sampling;
@@ -63,7 +64,7 @@ use portolan_local_slam::{InsertedNode, UsualAgreement};
 use portolan_optimization::{LandmarkSighting, OptimizationData, OptimizationSummary, unused_fixes};
 use portolan_recall::Memory;
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, OdometryData};
-use sampling::WholeSubmapTurns;
+use sampling::Samplers;
 use search::ConstraintSearch;
 
 use crate::histogram::Histogram;
@@ -71,13 +72,16 @@ use crate::remembered::Remembered;
 use crate::stop::Stop;
 use crate::{Constraint, ConstraintTag, GatheredVariance, NodeId, Space, SubmapId, TrajectoryId};
 
+/// So many scans of a submap say how scans agree with the map.
+const OWN_SCANS: usize = 8;
+
 /// The pose graph.
 pub struct PoseGraph<S: Space> {
     options: PoseGraphOptions,
     state: GraphState<S>,
     problem: OptimizationData,
     search: ConstraintSearch<S>,
-    whole_submaps: WholeSubmapTurns,
+    whole_submaps: Samplers<TrajectoryId>,
     places: PlaceSearches,
     usual_agreement: UsualAgreement,
     trimmers: Vec<Trimmer>,
@@ -88,6 +92,8 @@ pub struct PoseGraph<S: Space> {
     policy: PoseGraphPolicy,
     /// How far nodes are along their trajectories, metres.
     ways: BTreeMap<NodeId, f64>,
+    /// How far the nodes of complete submaps are from their origins at most, metres.
+    extents: BTreeMap<SubmapId, f64>,
     /// What had gathered at nodes where scans left the way or the heading open.
     gathered: BTreeMap<NodeId, GatheredVariance>,
     open_nodes: OpenNodes,
@@ -112,9 +118,9 @@ impl<S: Space> PoseGraph<S> {
     pub fn new(options: PoseGraphOptions) -> Self {
         let trimmers = options.overlapping_submaps_trimmer_2d.iter().map(Trimmer::overlapping).collect();
         let stop = Stop::default();
-        Self {
+        let mut graph = Self {
             search: ConstraintSearch::new(options.constraint_builder.clone(), stop.clone()),
-            whole_submaps: WholeSubmapTurns::new(options.global_sampling_ratio),
+            whole_submaps: Samplers::new(options.global_sampling_ratio),
             places: PlaceSearches::default(),
             usual_agreement: UsualAgreement::default(),
             options,
@@ -126,6 +132,7 @@ impl<S: Space> PoseGraph<S> {
             nodes_since_optimization: 0,
             policy: PoseGraphPolicy::default(),
             ways: BTreeMap::new(),
+            extents: BTreeMap::new(),
             gathered: BTreeMap::new(),
             open_nodes: OpenNodes::default(),
             contradicted: 0,
@@ -139,7 +146,9 @@ impl<S: Space> PoseGraph<S> {
             last_summary: OptimizationSummary::default(),
             remembered: Remembered::default(),
             stop,
-        }
+        };
+        graph.search.set_policy(graph.loop_search());
+        graph
     }
 
     /// The wish to have the map as it is.
@@ -171,9 +180,8 @@ impl<S: Space> PoseGraph<S> {
     pub fn set_policy(&mut self, policy: PoseGraphPolicy) {
         self.problem.doubts_sensors = policy.doubts_sensors;
         self.localisation.set_wanted(policy.localises_while_recording && S::OPTIMIZES_WITH_IMU);
-        self.search.set_policy(policy.loops);
-        self.whole_submaps.set_per_metre(policy.loops.whole_submaps_per_metre);
         self.policy = policy;
+        self.search.set_policy(self.loop_search());
     }
 
     /// Remembers what searches and optimisations find with this. To be set before anything is added.
@@ -225,7 +233,29 @@ impl<S: Space> PoseGraph<S> {
     /// How far and how often is searched, and which matches are believed after what was seen so far.
     fn loop_search(&self) -> LoopSearchPolicy {
         let loops = self.policy.loops;
-        LoopSearchPolicy { acceptance: self.usual_agreement.acceptance(loops.acceptance), ..loops }
+        let wanted = S::wanted_acceptance(loops.acceptance, &self.options.constraint_builder);
+        LoopSearchPolicy { acceptance: self.usual_agreement.acceptance(wanted), ..loops }
+    }
+
+    /// Learns from a complete submap how scans agree with the map where they were taken, where local SLAM does not tell.
+    fn note_own_agreement(&mut self, id: SubmapId) {
+        let Some((entry, submap)) = self.state.submaps.get(&id).and_then(|e| Some((e, e.submap.as_ref()?)))
+        else {
+            return;
+        };
+        let nodes = entry.node_ids.iter().filter_map(|id| self.state.nodes.get(id));
+        let stride = entry.node_ids.len().div_ceil(OWN_SCANS).max(1);
+        let submap_from_local = entry.local_from_submap.inverse();
+        let agreements: Vec<_> = nodes
+            .step_by(stride)
+            .filter_map(|node| {
+                S::own_agreement(submap, &node.data, &(submap_from_local * node.data.local_from_tracking))
+            })
+            .collect();
+        if !agreements.is_empty() {
+            agreements.iter().for_each(|agreement| self.usual_agreement.add(agreement));
+            self.search.set_policy(self.loop_search());
+        }
     }
 
     fn searchable_submaps(&self) -> Vec<SubmapId> {
@@ -239,6 +269,8 @@ impl<S: Space> PoseGraph<S> {
         entry.submap = Some(submap);
         entry.insertion_finished = true;
         entry.searchable = true;
+        self.note_extent(id);
+        self.note_own_agreement(id);
         let earlier: Vec<NodeId> = self.problem.nodes.keys().copied().collect();
         for node_id in earlier {
             self.consider(node_id, id);
@@ -269,17 +301,21 @@ impl<S: Space> PoseGraph<S> {
         let is_near = a == b || (connectivity.are_connected(a, b) && was_connected());
         if is_near || self.is_beyond_gap(a, b) {
             let Some(guess) = self.problem.submap_from_node(submap_id, node_id) else { return };
-            self.search.add_local((submap_id, submap), (node_id, &node.data), guess, way);
+            if self.is_in_reach(
+                (submap_id, entry),
+                node_id,
+                &guess.translation.vector,
+                self.policy.loops.widest_window(),
+            ) {
+                self.search.add_local((submap_id, submap), (node_id, &node.data), guess, way);
+            }
             return;
         }
         if self.searches_whole_maps() {
             return;
         }
-        let before = node_id.index.checked_sub(1).map(|index| NodeId::new(a, index));
-        let step = way - before.and_then(|id| self.ways.get(&id)).copied().unwrap_or(0.0);
-        if self.whole_submaps.is_due(a, self.state.submaps.len(), step) && self.localisation.take_one() {
-            let (guess, region) = self.anywhere(node_id, submap_id);
-            self.search.add_global((submap_id, submap), (node_id, &node.data), guess, region);
+        if self.whole_submaps.pulse(a) {
+            self.search.add_anywhere((submap_id, submap), (node_id, &node.data));
         }
     }
 

@@ -11,10 +11,9 @@ use portolan_submaps::SearchWindow;
 use rayon::prelude::*;
 
 use super::PoseGraph;
-use crate::{NodeData, NodeId, PlaceFinder, SearchRegion, Space, SubmapId, TrajectoryId, of_trajectory};
+use crate::{NodeData, NodeId, PlaceFinder, Space, SubmapId, SubmapInMap, TrajectoryId, of_trajectory};
 
-/// Scans so far along the way to either side of a node, metres, show what is around it; no more than one in so many metres.
-const STRETCH: f64 = 4.0;
+/// Of the scans around a node that show what is there, no more than one in so many metres counts.
 const SCAN_SPACING: f64 = 0.5;
 /// A place is judged in so many submaps: those whose nodes came nearest to it.
 const SUBMAPS_A_PLACE: usize = 2;
@@ -124,7 +123,7 @@ struct ReadyParts {
 impl<S: Space> PoseGraph<S> {
     /// Whether trajectories without a place are looked for in whole maps at once.
     pub(super) fn searches_whole_maps(&self) -> bool {
-        S::SEARCHES_WHOLE_MAPS && self.policy.loops.whole_submaps_per_metre > 0.0
+        self.policy.loops.searches_whole_maps
     }
 
     /// Schedules the search for a new node in the parts of the map that its trajectory is not connected with, once in so many
@@ -194,7 +193,7 @@ impl<S: Space> PoseGraph<S> {
     fn searched_part(&self, part: &[TrajectoryId]) -> Option<SearchedPart> {
         let complete = part.iter().flat_map(|id| of_trajectory(&self.state.submaps, *id));
         let complete = complete.filter(|(_, entry)| entry.insertion_finished);
-        let (mut grids, mut submaps) = (Vec::new(), Vec::new());
+        let (mut parts, mut submaps) = (Vec::new(), Vec::new());
         for (id, entry) in complete {
             let (Some(submap), Some(pose)) = (&entry.submap, self.problem.submaps.get(&id)) else { continue };
             let nodes = entry.node_ids.iter().filter_map(|id| self.problem.nodes.get(id));
@@ -202,10 +201,10 @@ impl<S: Space> PoseGraph<S> {
             if places.is_empty() {
                 places.push(pose.translation.vector);
             }
-            grids.push((*pose, &**submap));
+            parts.push(SubmapInMap { map_from_submap: *pose, submap: &**submap, nodes: places.clone() });
             submaps.push((id, *pose, places));
         }
-        Some(SearchedPart { finder: S::place_finder(&grids)?, submaps })
+        Some(SearchedPart { finder: S::place_finder(&parts)?, submaps })
     }
 
     /// Schedules the search for nodes where whole parts of the map propose them. All together look up `most_lookups` cells at
@@ -221,13 +220,9 @@ impl<S: Space> PoseGraph<S> {
         let proposed: Vec<Proposals> =
             node_ids.par_iter().map(|node_id| self.proposals(*node_id, parts, each)).collect();
         let lookups = proposed.iter().map(|proposals| proposals.lookups).sum();
-        let region = SearchRegion::WholeSubmap {
-            acceptance: self.loop_search().acceptance,
-            around_guess: Some(AROUND_PROPOSAL),
-        };
         for (node_id, submap_id, guess) in proposed.into_iter().flat_map(|proposals| proposals.pairs) {
             if let Some((submap, node)) = self.state.pair(submap_id, node_id) {
-                self.search.add_global(submap, node, guess, region);
+                self.search.add_proposed(submap, node, guess, AROUND_PROPOSAL);
             }
         }
         lookups
@@ -262,7 +257,7 @@ impl<S: Space> PoseGraph<S> {
         for side in [&mut earlier.into_iter() as &mut dyn Iterator<Item = _>, &mut later.into_iter()] {
             let mut last = middle;
             for (id, way) in side {
-                if id.trajectory_id != node_id.trajectory_id || (way - middle).abs() > STRETCH {
+                if id.trajectory_id != node_id.trajectory_id || (way - middle).abs() > S::STRETCH_METRES {
                     break;
                 }
                 if (way - last).abs() < SCAN_SPACING {

@@ -16,11 +16,13 @@ pub struct LoopSearchPolicy {
     pub drift: f64,
     /// A node is searched in a submap once in so many metres of way; 0: as `sampling_ratio` says.
     pub spacing: f64,
-    /// Which matches are believed (2D).
+    /// Which matches are believed.
     pub acceptance: MatchAcceptance,
-    /// A trajectory without a place in the rest is searched in so many whole submaps for each metre of way; 0: as
+    /// Whether `max_constraint_distance` counts from where the nodes of a submap were taken, instead of from its origin.
+    pub is_from_nodes: bool,
+    /// Whether a trajectory without a place in the rest is searched in whole parts of the map at once; otherwise in whole submaps, as
     /// `global_sampling_ratio` says.
-    pub whole_submaps_per_metre: f64,
+    pub searches_whole_maps: bool,
 }
 
 /// A node can be so far off however short the path was: cells, bent submaps, a slip of the wheels.
@@ -127,9 +129,6 @@ impl Default for PoseGraphPolicy {
     }
 }
 
-/// Steps of the golden ratio come round last: every metre is searched in other submaps.
-const WHOLE_SUBMAPS: f64 = 2.0 + GOLDEN;
-
 /// A graph is optimised again when it has grown by this fraction.
 const GROWTH: f64 = 0.05;
 
@@ -154,8 +153,9 @@ impl PoseGraphPolicy {
             redraws: options.redraw_submaps,
             loops: LoopSearchPolicy {
                 drift: options.loop_search_drift,
-                whole_submaps_per_metre: if options.loop_search_drift > 0.0 { WHOLE_SUBMAPS } else { 0.0 },
+                searches_whole_maps: options.loop_search_drift > 0.0 || options.match_surfaces,
                 spacing: options.loop_search_spacing,
+                is_from_nodes: options.match_surfaces,
                 acceptance: MatchAcceptance {
                     min_explained: options.loop_min_explained as f32,
                     max_contradiction: options.loop_max_contradiction as f32,

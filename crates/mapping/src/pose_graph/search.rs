@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use portolan_config::ConstraintBuilderOptions;
 use portolan_geometry::Rigid3;
+use portolan_submaps::SearchWindow;
 use rayon::prelude::*;
 
 use super::matcher_cache::MatcherCache;
@@ -94,8 +95,7 @@ impl<S: Space> ConstraintSearch<S> {
         self.policy = policy;
     }
 
-    /// Adds a pair whose relative pose is roughly known, if it is near enough and its turn in the
-    /// submap's sampling has come. `way` is how far the node is along its trajectory, metres.
+    /// Adds a pair whose relative pose is roughly known, if its turn in the submap's sampling has come. `way` is how far the node is along its trajectory, metres.
     pub fn add_local(
         &mut self,
         (submap_id, submap): (SubmapId, &Arc<S::Submap>),
@@ -103,11 +103,6 @@ impl<S: Space> ConstraintSearch<S> {
         guess_submap_from_node: Rigid3,
         way: f64,
     ) {
-        let widest = self.policy.widest_window();
-        let farthest = self.options.max_constraint_distance + widest;
-        if guess_submap_from_node.translation.vector.norm() > farthest {
-            return;
-        }
         let spacing = self.policy.spacing;
         let is_due = if spacing > 0.0 {
             self.spacings.entry(submap_id).or_default().is_due((submap_id, node_id), way, spacing)
@@ -140,15 +135,27 @@ impl<S: Space> ConstraintSearch<S> {
         self.tasks.iter().filter(|task| is_window(task.region)).map(|task| (task.submap_id, task.node_id))
     }
 
-    /// Adds a pair whose relative pose is unknown.
-    pub fn add_global(
+    /// Adds a pair whose relative pose is unknown, but where a search of the whole map proposed one.
+    pub fn add_proposed(
         &mut self,
         (submap_id, submap): (SubmapId, &Arc<S::Submap>),
         (node_id, node): (NodeId, &Arc<NodeData>),
-        guess_submap_from_node: Rigid3,
-        region: SearchRegion,
+        proposed_submap_from_node: Rigid3,
+        around: SearchWindow,
     ) {
-        self.push(submap_id, submap, node_id, node, guess_submap_from_node, region);
+        let acceptance = self.policy.acceptance;
+        let region = SearchRegion::WholeSubmap { acceptance, around_guess: Some(around) };
+        self.push(submap_id, submap, node_id, node, proposed_submap_from_node, region);
+    }
+
+    /// Adds a pair whose relative pose is unknown.
+    pub fn add_anywhere(
+        &mut self,
+        (submap_id, submap): (SubmapId, &Arc<S::Submap>),
+        (node_id, node): (NodeId, &Arc<NodeData>),
+    ) {
+        let region = SearchRegion::WholeSubmap { acceptance: self.policy.acceptance, around_guess: None };
+        self.push(submap_id, submap, node_id, node, Rigid3::identity(), region);
     }
 
     /// Whether pairs wait whose relative pose is unknown.
@@ -295,7 +302,7 @@ impl<S: Space> ConstraintSearch<S> {
     fn count(&mut self, region: SearchRegion, found: bool) {
         let (searched, hits) = match region {
             SearchRegion::Window { .. } => (&mut self.counts.window_searched, &mut self.counts.window_found),
-            SearchRegion::WholeSubmap { .. } | SearchRegion::NearNodes { .. } => {
+            SearchRegion::WholeSubmap { .. } => {
                 (&mut self.counts.whole_submap_searched, &mut self.counts.whole_submap_found)
             }
         };
@@ -321,12 +328,7 @@ fn is_window(region: SearchRegion) -> bool {
 }
 
 fn find_nearby<S: Space>(task: &SearchTask<S>, options: &ConstraintBuilderOptions) -> Nearby {
-    match task.region {
-        SearchRegion::Window { travelled, .. } => {
-            S::find_nearby(&task.submap, &task.node, &task.guess_submap_from_node, travelled, options)
-        }
-        SearchRegion::WholeSubmap { .. } | SearchRegion::NearNodes { .. } => Nearby::Unknown,
-    }
+    S::find_nearby(&task.submap, &task.node, &task.guess_submap_from_node, &task.region, options)
 }
 
 fn search_node<S: Space>(
@@ -381,7 +383,7 @@ fn log_match(
 ) {
     let score = 100.0 * found.score;
     match region {
-        SearchRegion::WholeSubmap { .. } | SearchRegion::NearNodes { .. } => {
+        SearchRegion::WholeSubmap { .. } => {
             tracing::debug!("Node {node_id} on submap {submap_id} matches with score {score:.1}%.");
         }
         SearchRegion::Window { .. } => {

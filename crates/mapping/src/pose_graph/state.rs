@@ -150,7 +150,7 @@ impl<S: Space> GraphState<S> {
         self.trajectories.get(&id).map_or(TrajectoryState::Deleted, |t| t.state)
     }
 
-    /// Whether any constraint of the node remains.
+    /// Time of the last node that was inserted into a submap; none if there is none.
     pub fn time_of_last_node(&self, submap: &SubmapEntry<S>) -> Option<Time> {
         let last = submap.node_ids.iter().next_back()?;
         self.nodes.get(last).map(|n| n.data.time)

@@ -277,18 +277,8 @@ pub(crate) fn best_first_in_order<B: Branching>(
     }
 }
 
-/// Searches in bounded time: of the boxes of each size only the `width` most promising ones are split. What is
-/// best may be missed where everything looks alike; nothing found is worse than an exhaustive search says.
-pub(crate) fn beam<B: Branching>(
-    boxes: &mut B,
-    mut best: Best<B::Placement>,
-    width: usize,
-) -> (f32, Vec<B::Placement>) {
-    search_beam(boxes, &mut best, width);
-    best.finish()
-}
-
-/// As [`beam`] with what [`Best::in_order_above`] started: all placements that it came upon, in no order.
+/// Searches in bounded time what [`Best::in_order_above`] started: of the boxes of each size only the `width` most promising ones are
+/// split. Gives all placements that it came upon, in no order. What is best may be missed where everything looks alike.
 pub(crate) fn beam_several<B: Branching>(
     boxes: &mut B,
     mut best: Best<B::Placement>,

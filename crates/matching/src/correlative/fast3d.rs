@@ -6,12 +6,12 @@ use portolan_grids::{HybridGrid, MAX_VOXEL_INDEX, VoxelLattice, is_finite};
 use portolan_sensor::PointCloud;
 
 use super::MatchResult;
-use super::best_first::{Best, beam, best_first};
+use super::best_first::{Best, best_first};
 use super::byte_score::ByteScore;
 use super::rotational::{histogram_similarity, rotate_histogram};
 use super::search_window::angular_steps_in_space;
 use crate::MatcherOptionError;
-use points::{evenly_over_heights, farthest, thinned};
+use points::{farthest, thinned};
 use pyramid::MaxPyramid3d;
 use scans::{MAX_SHIFT, Scans};
 use search::{Placement3d, Search3d};
@@ -60,11 +60,6 @@ impl Default for FastCorrelativeOptions3d {
 const MAX_DEPTH: u32 = 24;
 /// The search never starts with boxes larger than 2^6 cells; the widest windows kept are twice as wide.
 const MAX_EXPONENT: u32 = 6;
-/// Proposals are made with at most so many points, by following so many boxes of each size: some 50 ms. (In a
-/// museum and a garage 100 to 4000 boxes found the same; a park took 37, 26, 26 and 20 searches with 100, 300, 1000
-/// and 4000.)
-const MAX_PROPOSING_POINTS: usize = 160;
-const BEAM_WIDTH: usize = 1000;
 /// Histograms of more buckets are not compared.
 const MAX_BUCKETS: usize = 1 << 14;
 
@@ -127,15 +122,6 @@ pub struct FastCorrelativeMatcher3d {
     pyramid: MaxPyramid3d,
 }
 
-/// How thoroughly is searched.
-#[derive(Clone, Copy, Debug)]
-enum Effort {
-    /// Until nothing can be better.
-    Exhaustive,
-    /// So many boxes of each size.
-    Beam(usize),
-}
-
 /// One yaw that is searched.
 struct Turn {
     pose: Rigid3f,
@@ -193,55 +179,13 @@ impl FastCorrelativeMatcher3d {
         submap: &SubmapToSearch<'_>,
         min_score: f32,
     ) -> Option<FastMatch3d> {
-        self.match_within(&self.reach_of_options(), map_from_node, map_from_submap, node, submap, min_score)
-    }
-
-    /// The same at any yaw in wide windows, in bounded time: `reach` tells the windows along x, y and z. What it
-    /// finds is a proposal that wants to be refined and judged.
-    ///
-    /// Where floors and ceilings are most of what is seen, a node fits nearly anywhere: points are chosen
-    /// evenly over heights, and the most promising boxes of each size are followed.
-    pub fn propose(
-        &self,
-        reach: &SearchReach3d,
-        map_from_node: &Rigid3,
-        map_from_submap: &Rigid3,
-        node: &NodeToFind<'_>,
-        submap: &SubmapToSearch<'_>,
-        min_score: f32,
-    ) -> Option<FastMatch3d> {
-        let usable = self.usable(node.high_resolution_cloud);
-        let balanced = evenly_over_heights(&usable, &to_f32(map_from_node), MAX_PROPOSING_POINTS);
-        let cloud = PointCloud { points: balanced, intensities: Vec::new() };
-        let node = NodeToFind { high_resolution_cloud: &cloud, ..*node };
-        let window = self.window(reach, map_from_node, map_from_submap, &node);
-        let effort = Effort::Beam(BEAM_WIDTH);
-        let angular = std::f64::consts::PI;
-        self.search(map_from_node, map_from_submap, &node, submap, window, angular, min_score, effort)
-    }
-
-    /// The windows of the options.
-    pub fn reach_of_options(&self) -> SearchReach3d {
-        SearchReach3d {
+        let reach = SearchReach3d {
             linear_xy: self.options.linear_xy_search_window,
             linear_z: self.options.linear_z_search_window,
             angular: self.options.angular_search_window,
-        }
-    }
-
-    /// The same as [`Self::match_local`] in other windows, none of which may be negative.
-    pub fn match_within(
-        &self,
-        reach: &SearchReach3d,
-        map_from_node: &Rigid3,
-        map_from_submap: &Rigid3,
-        node: &NodeToFind<'_>,
-        submap: &SubmapToSearch<'_>,
-        min_score: f32,
-    ) -> Option<FastMatch3d> {
-        let window = self.window(reach, map_from_node, map_from_submap, node);
-        let effort = Effort::Exhaustive;
-        self.search(map_from_node, map_from_submap, node, submap, window, reach.angular, min_score, effort)
+        };
+        let window = self.window(&reach, map_from_node, map_from_submap, node);
+        self.search(map_from_node, map_from_submap, node, submap, window, reach.angular, min_score)
     }
 
     /// Cells along z, y, x.
@@ -276,8 +220,7 @@ impl FastCorrelativeMatcher3d {
             [map_from_node, map_from_submap].map(|r| Rigid3::from_parts(Default::default(), *r));
         let window = [reach; 3];
         let angular = std::f64::consts::PI;
-        let effort = Effort::Exhaustive;
-        self.search(&node_rotation, &submap_rotation, node, submap, window, angular, min_score, effort)
+        self.search(&node_rotation, &submap_rotation, node, submap, window, angular, min_score)
     }
 
     /// Cells by which a node at the origin may be shifted and still meet the grid.
@@ -296,7 +239,6 @@ impl FastCorrelativeMatcher3d {
         window: [i32; 3],
         angular: f64,
         min_score: f32,
-        effort: Effort,
     ) -> Option<FastMatch3d> {
         let points = self.usable(node.high_resolution_cloud);
         let coarse: Vec<Point3f> =
@@ -321,10 +263,7 @@ impl FastCorrelativeMatcher3d {
             fits: |p| coarse_score(p).is_some_and(|s| f64::from(s) >= self.options.min_low_resolution_score),
         };
         let best = Best::single_above(min_score);
-        let (score, placements) = match effort {
-            Effort::Exhaustive => best_first(&mut search, best),
-            Effort::Beam(width) => beam(&mut search, best, width),
-        };
+        let (score, placements) = best_first(&mut search, best);
         let placement = *placements.first()?;
         Some(FastMatch3d {
             found: MatchResult { score, pose: to_f64(&self.pose(&turns, placement)?) },

@@ -87,20 +87,27 @@ impl Default for ContinuousOptions {
     }
 }
 
+/// Shorter windows and spacings of knots, seconds, say nothing that sweeps of a tenth of a second know, and make more unknowns than
+/// memory holds.
+const SHORTEST_WINDOW: f64 = 0.01;
+const SHORTEST_SPACING: f64 = 0.001;
+/// Metres or radians: nothing is known better.
+const LEAST: f64 = 1e-9;
+
 impl ContinuousOptions {
     /// # Errors
     /// Fails for values that make no sense.
     pub(crate) fn check(&self) -> Result<(), RefineError> {
-        let positive = |name: &str, value: f64| {
-            if value > 0.0 && value < 1e6 {
+        let within = |name: &str, value: f64, least: f64| {
+            if (least..=1e6).contains(&value) {
                 return Ok(());
             }
-            Err(RefineError::Option(format!("{name} must be above 0, but is {value}")))
+            Err(RefineError::Option(format!("{name} must be from {least} to 1000000, but is {value}")))
         };
-        positive("the window (seconds)", self.window)?;
-        positive("the spacing of knots (seconds)", self.knot_spacing)?;
-        positive("the reach (metres)", self.reach)?;
-        positive("the noise of the odometry (metres)", self.odometry.translation)?;
-        positive("the noise of the odometry (radians)", self.odometry.rotation)
+        within("the window (seconds)", self.window, SHORTEST_WINDOW)?;
+        within("the spacing of knots (seconds)", self.knot_spacing, SHORTEST_SPACING)?;
+        within("the reach (metres)", self.reach, LEAST)?;
+        within("the noise of the odometry (metres)", self.odometry.translation, LEAST)?;
+        within("the noise of the odometry (radians)", self.odometry.rotation, LEAST)
     }
 }

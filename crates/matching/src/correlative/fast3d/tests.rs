@@ -45,37 +45,6 @@ fn the_golden_node_is_found() {
     }
 }
 
-#[test]
-fn a_node_is_proposed_from_any_heading_and_floors_do_not_outweigh_walls() {
-    let (high, low, scan) = (drawn_cloud_b(0.1, 5), drawn_cloud_b(0.45, 5), golden_scan_3d());
-    let options = FastCorrelativeOptions3d { min_low_resolution_score: 0.3, ..Default::default() };
-    let histograms = [rotational_histogram(&cloud_b(), 120), rotational_histogram(&scan, 120)];
-    let node = NodeToFind {
-        high_resolution_cloud: &scan,
-        low_resolution_cloud: &scan,
-        rotational_histogram: &histograms[1],
-        gravity_alignment: Quaternion::identity(),
-    };
-    let submap = SubmapToSearch { low_resolution_grid: &low, rotational_histogram: &histograms[0] };
-    let matcher = FastCorrelativeMatcher3d::new(&high, &options).unwrap();
-    let reach = SearchReach3d { linear_xy: 4.0, linear_z: 1.0, angular: 0.0 };
-    for yaw in [0.0, 1.3, -2.4] {
-        let guess = pose(1.9, -1.4, 0.6, yaw);
-        let found = matcher.propose(&reach, &guess, &Rigid3::identity(), &node, &submap, 0.2).unwrap();
-        let expected = pose(0.4, -0.3, 0.1, 0.1028);
-        let error = found.found.pose.inverse() * expected;
-        assert!(error.translation.vector.norm() < 0.3 && error.rotation.angle() < 0.05, "{yaw} {found:?}");
-        assert!(matcher.propose(&reach, &guess, &Rigid3::identity(), &node, &submap, 0.95).is_none());
-    }
-    let floor = (0..900).map(|i| Point3f::new(0.1 * (i % 30) as f32, 0.1 * (i / 30) as f32, -1.0));
-    let wall = (0..40).map(|i| Point3f::new(3.0, 0.1 * (i % 4) as f32, 0.1 * (i / 4) as f32 - 0.9));
-    let points: Vec<Point3f> = floor.chain(wall).collect();
-    let chosen = evenly_over_heights(&points, &Rigid3f::identity(), 60);
-    let on_floor = chosen.iter().filter(|p| p.z < -0.95).count();
-    assert!((50..=60).contains(&chosen.len()) && on_floor <= 30, "{} {on_floor}", chosen.len());
-    assert_eq!(evenly_over_heights(&points, &Rigid3f::identity(), 5000).len(), points.len());
-}
-
 /// Twelve points on the three axes, no two at the same distance.
 fn star() -> PointCloud {
     let points = [

@@ -1,0 +1,281 @@
+//! What stands upright in a 3D map, seen from above: an index of places.
+
+use std::collections::BTreeMap;
+
+use nalgebra as na;
+use portolan_geometry::{Point3f, Rigid2, Rigid3, Vector2, Vector3, embed_3d, normalize_angle};
+use portolan_grids::{CellIndex, Grid2d, GridError, MapLimits, ProbabilityGrid};
+use portolan_matching::{
+    FastCorrelativeMatcher2d, FastCorrelativeOptions2d, MatcherOptionError, PlaceIndex2d, SeveralPlaces,
+    WantedPlaces,
+};
+use portolan_sensor::{PointCloud, voxel_filter_points};
+use thiserror::Error;
+
+use crate::ProposedPlaces;
+
+/// Edge of the columns that stand upright, metres, and the height of their slices.
+const COLUMN: f32 = 0.3;
+const COLUMN_SLICE: f32 = 0.2;
+/// A column of the map stands if so many of its slices are solid, of a sparse scan if so many hold a point.
+const UPRIGHT_IN_MAP: usize = 3;
+const UPRIGHT_IN_SCANS: usize = 2;
+/// Columns of scans are thinned to voxels of this edge, metres, and to so many.
+const THINNED: f32 = 0.2;
+const MOST_COLUMNS: usize = 320;
+/// Cells of the picture from above, at most: 1.2 km by 1.2 km; maps farther across get larger cells.
+const MAX_CELLS: f64 = (1 << 24) as f64;
+/// Probability of a cell in which something stands upright.
+const STANDS: f32 = 0.9;
+/// What a hit tells follows from how much stands within so many metres to each side, and is no more than this, nats.
+const SURROUNDINGS: f64 = 6.0;
+const MOST_TOLD: f64 = 3.0;
+/// What a search of the picture from above proposes: what scores at least this, and this share of the best.
+const PROPOSALS: SeveralPlaces = SeveralPlaces {
+    min_score: 0.3,
+    share_of_best: 0.7,
+    separation: (1.0, 0.2),
+    most: 24,
+    lookups: 75_000_000,
+};
+/// And where each column counts as much as it tells: the share of what all points may tell at most is smaller.
+const TELLING: WantedPlaces = WantedPlaces {
+    min_score: 0.15,
+    share_of_best: PROPOSALS.share_of_best,
+    separation: PROPOSALS.separation,
+    most: PROPOSALS.most,
+    most_points: 320,
+    beam: 65_536,
+    lookups: 0,
+};
+/// The scanner is at the height of a node no farther than this from its place, metres; nodes whose heights differ by
+/// so much are on different storeys.
+const NODES_AROUND: f64 = 10.0;
+const STOREY: f64 = 1.0;
+
+/// Why places cannot be found from above.
+#[derive(Debug, Error)]
+pub enum FromAboveError {
+    /// Nothing stands upright.
+    #[error("nothing in the map stands upright")]
+    Empty,
+    /// A grid cannot be made.
+    #[error(transparent)]
+    Grid(#[from] GridError),
+    /// A matcher cannot be made.
+    #[error(transparent)]
+    Matcher(#[from] MatcherOptionError),
+}
+
+/// Places of a 3D map by what stands upright there.
+pub struct SeenFromAbove {
+    /// In which all columns count the same.
+    alike: FastCorrelativeMatcher2d,
+    /// In which each counts as much as it tells.
+    telling: PlaceIndex2d,
+    /// Where nodes were taken, metres in the map.
+    nodes: Vec<Vector3>,
+}
+
+impl SeenFromAbove {
+    /// Of what is solid, and where nodes were taken: metres in the map, whose z axis points up.
+    ///
+    /// # Errors
+    /// If nothing stands upright, or the picture from above cannot be made.
+    pub fn new(solid: impl Iterator<Item = Point3f>, nodes: Vec<Vector3>) -> Result<Self, FromAboveError> {
+        let (picture, telling) = from_above(solid, &nodes)?;
+        let alike = FastCorrelativeMatcher2d::new(&picture, &FastCorrelativeOptions2d::default())?;
+        Ok(Self { alike, telling, nodes })
+    }
+
+    /// Where in an area (its middle, and metres to each side), or anywhere, the columns of scans fit, at any heading, at the heights
+    /// of the storeys there: those places that are best where all columns count the same, and those that are where each counts as
+    /// much as it tells. Most columns stand where the map is dense, and the first search may never leave it. Poses are level.
+    pub fn find(&self, columns: &PointCloud, area: Option<(&Vector2, f64)>) -> ProposedPlaces {
+        let alike = || match area {
+            Some((middle, metres)) => self.alike.match_several_within(columns, &PROPOSALS, middle, metres),
+            None => self.alike.match_several(columns, &PROPOSALS),
+        };
+        let telling = || match area {
+            Some((middle, metres)) => self.telling.find_within(columns, &TELLING, middle, metres),
+            None => self.telling.find(columns, &TELLING),
+        };
+        let (alike, telling) = rayon::join(alike, telling);
+        let (metres, radians) = PROPOSALS.separation;
+        let mut places: Vec<Rigid2> = Vec::new();
+        for place in alike.into_iter().chain(telling.places).map(|found| found.pose) {
+            let is_near = |other: &Rigid2| {
+                (other.translation - place.translation).norm() < metres
+                    && normalize_angle(other.angle - place.angle).abs() < radians
+            };
+            if !places.iter().any(is_near) {
+                places.push(place);
+            }
+        }
+        let poses = places.iter().flat_map(|place| self.lifted(&embed_3d(place))).collect();
+        ProposedPlaces { poses, lookups: PROPOSALS.lookups }
+    }
+
+    /// Poses over a place seen from above: at the heights of the storeys there.
+    fn lifted(&self, pose: &Rigid3) -> Vec<Rigid3> {
+        let place = pose.translation.vector;
+        let off = |node: &Vector3| (node.xy() - place.xy()).norm();
+        let mut near: Vec<(f64, f64)> =
+            self.nodes.iter().filter(|n| off(n) < NODES_AROUND).map(|n| (off(n), n.z)).collect();
+        near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        // The nearest node at each height: stairs and ramps join storeys, so that no gap is between them.
+        let mut heights: Vec<f64> = Vec::new();
+        for (_, height) in near {
+            if heights.iter().all(|other| (height - other).abs() >= STOREY) {
+                heights.push(height);
+            }
+        }
+        heights.into_iter().map(|z| Rigid3::translation(0.0, 0.0, z) * pose).collect()
+    }
+}
+
+/// What stands upright in scans, seen from above: points at height 0, thinned. Points are in a level frame, metres.
+pub fn columns_of_scans(points: impl Iterator<Item = Point3f>) -> PointCloud {
+    let thinned = voxel_filter_points(&upright_columns(points, UPRIGHT_IN_SCANS), THINNED);
+    let stride = thinned.len().div_ceil(MOST_COLUMNS).max(1);
+    PointCloud::new(thinned.into_iter().step_by(stride).collect())
+}
+
+/// Columns that hold points in at least so many slices, as points at height 0 in their middle, in order.
+fn upright_columns(points: impl Iterator<Item = Point3f>, slices: usize) -> Vec<Point3f> {
+    let mut columns: BTreeMap<[i32; 2], Vec<i32>> = BTreeMap::new();
+    for p in points.filter(|p| p.coords.iter().all(|v| v.is_finite())) {
+        let [x, y] = [p.x, p.y].map(|v| (v / COLUMN).floor() as i32);
+        let (column, slice) = (columns.entry([x, y]).or_default(), (p.z / COLUMN_SLICE).floor() as i32);
+        if !column.contains(&slice) {
+            column.push(slice);
+        }
+    }
+    let upright = columns.into_iter().filter(|(_, found)| found.len() >= slices);
+    let middle = |v: i32| (v as f32 + 0.5) * COLUMN;
+    upright.map(|([x, y], _)| Point3f::new(middle(x), middle(y), 0.0)).collect()
+}
+
+/// What stands upright, seen from above, as a picture in which all columns are alike, and as an index in which each counts as
+/// much as it tells.
+fn from_above(
+    solid: impl Iterator<Item = Point3f>,
+    nodes: &[Vector3],
+) -> Result<(Grid2d, PlaceIndex2d), FromAboveError> {
+    let columns = upright_columns(solid, UPRIGHT_IN_MAP);
+    let limits = limits_of(&columns)?;
+    let cells: Vec<CellIndex> = columns.iter().map(|column| limits.cell_index(column.xy().coords)).collect();
+    let mut picture = ProbabilityGrid::new(limits);
+    cells.iter().for_each(|cell| {
+        picture.set_probability(*cell, STANDS);
+    });
+    let crowd = Crowd::new(&limits, &cells);
+    let told: Vec<(CellIndex, f32)> =
+        cells.iter().map(|cell| (*cell, crowd.self_information(*cell))).collect();
+    let index = PlaceIndex2d::of_cells(limits, &told, &around(nodes, &limits));
+    Ok((Grid2d::Probability(picture), index))
+}
+
+/// Whether a node is near each cell.
+fn around(nodes: &[Vector3], limits: &MapLimits) -> Vec<bool> {
+    let mut is_near = vec![false; limits.num_cells()];
+    let reach = (NODES_AROUND / limits.resolution()).ceil() as i32;
+    for node in nodes {
+        let middle = limits.cell_index(node.xy().cast::<f32>());
+        for (x, y) in (-reach..=reach).flat_map(|x| (-reach..=reach).map(move |y| (x, y))) {
+            let cell = CellIndex::new(middle.x.saturating_add(x), middle.y.saturating_add(y));
+            if let Some(near) = limits.flat_index(cell).and_then(|index| is_near.get_mut(index)) {
+                *near = true;
+            }
+        }
+    }
+    is_near
+}
+
+fn limits_of(columns: &[Point3f]) -> Result<MapLimits, FromAboveError> {
+    let first = columns.first().ok_or(FromAboveError::Empty)?;
+    let (low, high) =
+        columns.iter().fold((first.coords, first.coords), |(l, h), p| (l.inf(&p.coords), h.sup(&p.coords)));
+    let size: na::Vector3<f64> = (high - low).cast();
+    let mut resolution = f64::from(COLUMN);
+    let cells = |length: f64, resolution: f64| (length / resolution).ceil() + 3.0;
+    while cells(size.x, resolution) * cells(size.y, resolution) > MAX_CELLS {
+        resolution *= 2.0;
+    }
+    let max = Vector2::new(f64::from(high.x) + 1.5 * resolution, f64::from(high.y) + 1.5 * resolution);
+    let count = |length: f64| cells(length, resolution) as u32;
+    Ok(MapLimits::new(resolution, max, count(size.y), count(size.x))?)
+}
+
+/// How many cells stand in squares around cells: sums over all that come before.
+struct Crowd {
+    width: usize,
+    height: usize,
+    reach: usize,
+    sums: Vec<u32>,
+}
+
+impl Crowd {
+    fn new(limits: &MapLimits, cells: &[CellIndex]) -> Self {
+        let (width, height) = (limits.num_x_cells() as usize, limits.num_y_cells() as usize);
+        let mut sums = vec![0_u32; (width + 1) * (height + 1)];
+        for cell in cells {
+            let (x, y) = (cell.x.max(0) as usize, cell.y.max(0) as usize);
+            if let Some(sum) = sums.get_mut((y + 1) * (width + 1) + x + 1).filter(|_| x < width) {
+                *sum = 1;
+            }
+        }
+        let mut above = vec![0; width + 1];
+        for row in sums.chunks_exact_mut(width + 1) {
+            let mut of_row = 0;
+            for (sum, above) in row.iter_mut().zip(&mut above) {
+                of_row += *sum;
+                *sum = of_row + *above;
+                *above = *sum;
+            }
+        }
+        Self { width, height, reach: (SURROUNDINGS / limits.resolution()).round() as usize, sums }
+    }
+
+    /// −ln of the share of the cells around one that stand, as a share of the most.
+    fn self_information(&self, cell: CellIndex) -> f32 {
+        let span = |middle: i32, size: usize| {
+            let middle = middle.max(0) as usize;
+            (middle.saturating_sub(self.reach), (middle + self.reach + 1).min(size))
+        };
+        let ((left, right), (low, high)) = (span(cell.x, self.width), span(cell.y, self.height));
+        let before = |x: usize, y: usize| self.sums.get(y * (self.width + 1) + x).copied().unwrap_or(0);
+        let standing = (before(right, high) + before(left, low)) - (before(left, high) + before(right, low));
+        let side = 2.0 * self.reach as f64 + 1.0;
+        let told = -(f64::from(standing.max(1)) / (side * side)).ln();
+        (told.clamp(0.0, MOST_TOLD) / MOST_TOLD) as f32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn floors_are_no_columns() {
+        let floor = (-40..40)
+            .flat_map(|x| (-40..40).map(move |y| Point3f::new(0.3 * x as f32, 0.3 * y as f32, -1.0)));
+        let wall = (-40..40)
+            .flat_map(|x| (0..8).map(move |z| Point3f::new(0.3 * x as f32, 5.05, 0.3 * z as f32 - 0.9)));
+        let columns = upright_columns(floor.chain(wall), UPRIGHT_IN_MAP);
+        assert!(columns.len() > 50 && columns.iter().all(|p| (p.y - 5.05).abs() < 0.3), "{columns:?}");
+    }
+
+    #[test]
+    fn a_post_by_itself_tells_more_than_one_of_a_wood() {
+        let limits = MapLimits::new(0.3, Vector2::new(30.0, 30.0), 200, 200).unwrap();
+        let wood = (30..90).flat_map(|x| (30..90).map(move |y| CellIndex::new(x, y)));
+        let post = CellIndex::new(150, 150);
+        let cells: Vec<CellIndex> = wood.filter(|cell| (cell.x + cell.y) % 3 == 0).chain([post]).collect();
+        let crowd = Crowd::new(&limits, &cells);
+        let [alone, among_others] = [post, CellIndex::new(60, 60)].map(|cell| crowd.self_information(cell));
+        assert!((alone - 1.0).abs() < 1e-6, "{alone}");
+        // A third of all cells: ln 3 of 3 nats.
+        assert!((among_others - 3f32.ln() / 3.0).abs() < 0.01, "{among_others}");
+    }
+}
