@@ -67,7 +67,9 @@ mod tests {
             let submaps = vec![InsertionSubmap { index, local_from_submap: Rigid3::identity(), finished }];
             graph.add_node(id, InsertedNode::new(Arc::new(data), submaps))
         };
-        (0..10).for_each(|i| drop(add(i, 10.0 * f64::from(i), 0, None)));
+        for i in 0..10 {
+            add(i, 10.0 * f64::from(i), 0, None);
+        }
         add(10, 100.0, 0, Some(finished));
         let last = add(11, x, 1, None);
         let submap_id = SubmapId::new(id, 0);

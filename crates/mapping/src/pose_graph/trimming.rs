@@ -222,6 +222,7 @@ impl<S: Space> PoseGraph<S> {
         self.search.delete_matcher(id);
         self.search.forget_tasks(|submap, node| submap == id || orphans.contains(&node));
         self.problem.submaps.remove(&id);
+        self.extents.remove(&id);
         self.state.optimized_submaps.remove(&id);
         let removed: Vec<(NodeId, Node)> =
             orphans.into_iter().filter_map(|id| self.state.nodes.remove_entry(&id)).collect();
