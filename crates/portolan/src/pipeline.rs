@@ -423,7 +423,7 @@ pub fn map_recording<S: Space>(
         interrupted |= !goes_on;
         goes_on
     })?;
-    if scans == 0 {
+    if scans == 0 || map.graph.state().nodes.is_empty() {
         return Err(PipelineError::NoScans);
     }
     map.graph.move_by(&frame.origin());

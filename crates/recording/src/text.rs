@@ -11,6 +11,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use portolan_input::{Line, read_line, skip_line};
 
+use crate::container::most_unpacked;
+
 use crate::{
     CarmenLog, CarmenOptions, CoreSlamLog, Recording, RecordingError, looks_like_carmen, looks_like_coreslam,
 };
@@ -128,10 +130,15 @@ impl TextFile {
         let file = BufReader::with_capacity(1 << 16, Counted { file, position: position.clone() });
         let stream: Box<dyn BufRead + Send> = match self.compression {
             Compression::None => Box::new(file),
-            Compression::Gzip => Box::new(BufReader::new(flate2::bufread::MultiGzDecoder::new(file))),
-            Compression::Bzip2 => Box::new(BufReader::new(bzip2::bufread::MultiBzDecoder::new(file))),
+            Compression::Gzip => self.unpacked(flate2::bufread::MultiGzDecoder::new(file)),
+            Compression::Bzip2 => self.unpacked(bzip2::bufread::MultiBzDecoder::new(file)),
         };
         Ok((stream, position))
+    }
+
+    /// What comes out of the file, as far as it may.
+    fn unpacked(&self, unpacker: impl Read + Send + 'static) -> Box<dyn BufRead + Send> {
+        Box::new(BufReader::new(Bounded { unpacker, left: most_unpacked(self.size_bytes) }))
     }
 
     /// What is damaged of a compressed file, which ends there; errors of the disk are errors.
@@ -192,6 +199,31 @@ pub fn open_text_log_bytes(name: &Path, bytes: &[u8]) -> Result<Option<Box<dyn R
     let prefix: Vec<u8> =
         file.cached.iter().flat_map(|(text, _)| text.iter().take(PREFIX_BYTES as usize)).copied().collect();
     file.into_log(&prefix)
+}
+
+/// Unpacked text, which ends with an error where more comes out than a recording of that size holds: a few bytes must not keep
+/// every pass busy for hours.
+struct Bounded<R> {
+    unpacker: R,
+    left: u64,
+}
+
+impl<R: Read> Read for Bounded<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        if self.left == 0 && !buffer.is_empty() {
+            return match self.unpacker.read(&mut [0])? {
+                0 => Ok(0),
+                _ => Err(std::io::Error::new(
+                    ErrorKind::InvalidData,
+                    "far more text comes out of it than out of any recording of its size",
+                )),
+            };
+        }
+        let most = usize::try_from(self.left).unwrap_or(usize::MAX).min(buffer.len());
+        let count = self.unpacker.read(buffer.get_mut(..most).unwrap_or_default())?;
+        self.left -= count as u64;
+        Ok(count)
+    }
 }
 
 struct Counted {
@@ -288,6 +320,18 @@ mod tests {
             found.push(String::from_utf8_lossy(line).into_owned());
         }
         (found, lines.damage().map(str::to_owned), lines.overlong())
+    }
+
+    #[test]
+    fn a_few_bytes_do_not_unpack_for_ever() {
+        let line = [&[b'a'; 1023][..], b"\n"].concat();
+        let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        (0..80 << 10).for_each(|_| gzip.write_all(&line).unwrap());
+        let bytes = gzip.finish().unwrap();
+        assert!(bytes.len() < 1 << 19, "{}", bytes.len());
+        let (lines, damage, _) = lines_of(&bytes);
+        assert_eq!(lines.len(), 64 << 10);
+        assert!(damage.is_some_and(|damage| damage.contains("far more text")));
     }
 
     #[test]

@@ -38,10 +38,10 @@ pub fn seconds(text: &str) -> Result<f64, String> {
     seconds.ok_or_else(|| format!("expected seconds, 0 or more, not \"{text}\""))
 }
 
-/// A length in metres.
+/// A length in metres: pixels and voxels of more than a thousand kilometres show nothing.
 pub fn positive_metres(text: &str) -> Result<f64, String> {
-    let metres = text.parse::<f64>().ok().filter(|metres| metres.is_finite() && *metres > 0.0);
-    metres.ok_or_else(|| format!("expected metres, more than 0, not \"{text}\""))
+    let metres = text.parse::<f64>().ok().filter(|metres| *metres > 0.0 && *metres <= 1e6);
+    metres.ok_or_else(|| format!("expected metres, more than 0 and at most 1000000, not \"{text}\""))
 }
 
 /// x, y, yaw: metres and degrees.
