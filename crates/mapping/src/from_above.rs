@@ -38,6 +38,8 @@ const PROPOSALS: SeveralPlaces = SeveralPlaces {
     most: 24,
     lookups: 75_000_000,
 };
+/// What both searches look up, usually.
+const USUAL_LOOKUPS: u64 = 15_000_000;
 /// And where each column counts as much as it tells: the share of what all points may tell at most is smaller.
 const TELLING: WantedPlaces = WantedPlaces {
     min_score: 0.15,
@@ -113,7 +115,7 @@ impl SeenFromAbove {
             }
         }
         let poses = places.iter().flat_map(|place| self.lifted(&embed_3d(place))).collect();
-        ProposedPlaces { poses, lookups: PROPOSALS.lookups }
+        ProposedPlaces { poses, lookups: USUAL_LOOKUPS }
     }
 
     /// Poses over a place seen from above: at the heights of the storeys there.
