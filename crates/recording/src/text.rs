@@ -325,10 +325,10 @@ mod tests {
     #[test]
     fn a_few_bytes_do_not_unpack_for_ever() {
         let line = [&[b'a'; 1023][..], b"\n"].concat();
-        let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
         (0..80 << 10).for_each(|_| gzip.write_all(&line).unwrap());
         let bytes = gzip.finish().unwrap();
-        assert!(bytes.len() < 1 << 19, "{}", bytes.len());
+        assert!(bytes.len() < 1 << 18, "{}", bytes.len());
         let (lines, damage, _) = lines_of(&bytes);
         assert_eq!(lines.len(), 64 << 10);
         assert!(damage.is_some_and(|damage| damage.contains("far more text")));
