@@ -38,18 +38,19 @@ const PROPOSALS: SeveralPlaces = SeveralPlaces {
     most: 24,
     lookups: 75_000_000,
 };
-/// What both searches look up, usually.
-const USUAL_LOOKUPS: u64 = 15_000_000;
 /// And where each column counts as much as it tells: the share of what all points may tell at most is smaller.
 const TELLING: WantedPlaces = WantedPlaces {
     min_score: 0.15,
     share_of_best: PROPOSALS.share_of_best,
     separation: PROPOSALS.separation,
     most: PROPOSALS.most,
-    most_points: 320,
+    most_points: MOST_COLUMNS,
     beam: 65_536,
     lookups: 0,
 };
+/// Charged for both searches, whose look-ups are not counted: so that a walker who makes a node each 0.15 m is looked for once in a metre.
+/// With the most that the first may look up a walk took more than 8 s to be found in its own map.
+const CHARGED_LOOKUPS: u64 = 15_000_000;
 /// The scanner is at the height of a node no farther than this from its place, metres; nodes whose heights differ by
 /// so much are on different storeys.
 const NODES_AROUND: f64 = 10.0;
@@ -115,7 +116,7 @@ impl SeenFromAbove {
             }
         }
         let poses = places.iter().flat_map(|place| self.lifted(&embed_3d(place))).collect();
-        ProposedPlaces { poses, lookups: USUAL_LOOKUPS }
+        ProposedPlaces { poses, lookups: CHARGED_LOOKUPS }
     }
 
     /// Poses over a place seen from above: at the heights of the storeys there.
