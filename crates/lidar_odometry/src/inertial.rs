@@ -9,11 +9,12 @@ mod tests;
 
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Quaternion, Rigid3, Time, Vector3, rotation_between};
-use portolan_motion::{ImuBuffer, InertialEntry, InertialEstimate, InertialNoise, Preintegrated};
+use portolan_motion::{
+    DegenerateDirections, ImuBuffer, InertialEntry, InertialEstimate, InertialNoise, Preintegrated,
+};
 use portolan_numeric::CovarianceMatching;
 use portolan_sensor::ImuData;
 
-use crate::registration::DegenerateDirections;
 use crate::segment::TrajectorySegment;
 use crate::settings::{ImuSettings, InertialSettings, MotionPriorSettings, OdometrySettings};
 
@@ -82,21 +83,6 @@ pub(crate) struct InertialFilter {
     estimate: Option<InertialEstimate>,
     /// How many times the variance of accelerations is what it is said to be.
     noise: CovarianceMatching,
-}
-
-impl OdometrySettings {
-    /// Errors of the IMU as an inertial filter takes them.
-    pub fn inertial_noise(&self) -> InertialNoise {
-        InertialNoise {
-            turn: self.gyroscope.noise,
-            turn_scale: self.gyroscope.scale_error,
-            gyroscope_bias: self.gyroscope.bias,
-            gyroscope_walk: self.gyroscope.bias_walk,
-            acceleration: self.inertial.acceleration_noise,
-            accelerometer_bias: self.inertial.accelerometer_bias,
-            gravity_walk: self.inertial.gravity_walk,
-        }
-    }
 }
 
 impl InertialFilter {

@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use portolan_motion::ExtrapolatorError;
+
 /// What was wrong with a measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Issue {
@@ -32,6 +34,14 @@ pub enum Issue {
 }
 
 impl Issue {
+    /// Why an IMU sample was left out before the trajectory began.
+    pub fn of_imu_sample(error: ExtrapolatorError) -> Self {
+        match error {
+            ExtrapolatorError::NotFinite => Self::ImuSampleNotFinite,
+            ExtrapolatorError::OlderThanLastPose | ExtrapolatorError::OutOfOrder => Self::ImuSampleTooOld,
+        }
+    }
+
     /// In words, for reports.
     pub fn text(self) -> &'static str {
         match self {

@@ -2,11 +2,8 @@
 
 mod belief;
 mod correlation;
-mod degenerate_intervals;
 mod deskew;
 mod gap;
-mod gravity_initialisation;
-mod gyroscope;
 mod hypotheses;
 mod inertial;
 mod initialise;
@@ -31,7 +28,6 @@ mod segment;
 pub mod settings;
 mod shift_likelihood;
 mod sight;
-mod standstill;
 mod start;
 mod start_velocity;
 mod sweep;
@@ -45,12 +41,7 @@ mod voxel_tree;
 mod wide_search;
 mod witness;
 
-pub use degenerate_intervals::{
-    DegenerateInterval, DegenerateIntervals, DegenerateMotion, DegenerateScan, Substitute,
-};
 pub use deskew::PiecewiseLinearTrajectory;
-pub use gravity_initialisation::{Beginning, GravityInitialisation, WaitingSweeps};
-pub use gyroscope::SaturationDetector;
 pub use issues::{Issue, Issues};
 pub use later::Later;
 pub use local_map::GrowingMap;
@@ -59,11 +50,9 @@ pub use phase::Phase;
 pub use pieces::PieceBegun;
 pub use plane_map::{Plane, PlaneMap, Unreliable};
 pub use poles::{PoleMap, PolePoint};
-pub use registration::{
-    DegenerateDirections, MotionPrior, PosePrior, Registration, RegistrationResult, Sigmas,
-};
+pub use registration::{MotionPrior, PosePrior, Registration, RegistrationResult, Sigmas};
 pub use segment::{MotionSource, SegmentCorrection, TrajectorySegment};
 pub use settings::{OdometrySettings, RegistrationSettings};
 pub use sweep::{Sweep, SweepPoint};
-pub use tracker::{Fallback, Keyframe, Observability, RegisteredSweep};
+pub use tracker::{Fallback, Keyframe, RegisteredSweep};
 pub use two_threads::{both, is_worth_a_thread};

@@ -3,20 +3,17 @@
 
 use portolan_geometry::nalgebra::Matrix3;
 use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3};
-use portolan_motion::PoseExtrapolator;
+use portolan_motion::{DegenerateDirections, PoseExtrapolator, SaturationDetector, ZeroVelocityDetector};
 use portolan_sensor::{ImuData, OdometryData};
 
 use crate::gap::{GapMotion, Velocities};
-use crate::gyroscope::SaturationDetector;
 use crate::inertial::{InertialFilter, InertialPrediction, InertialStart, PoseMeasurement};
 use crate::initialise::VELOCITY_INTERVAL;
 use crate::issues::Issue;
 use crate::odometry_prior::{MeasuredPlace, OdometryPrediction, OdometryPrior};
 use crate::predict::{self, Alternative, Prediction, Reason};
-use crate::registration::DegenerateDirections;
 use crate::segment::{MotionSource, TrajectorySegment};
 use crate::settings::{HypothesisSettings, OdometrySettings};
-use crate::standstill::ZeroVelocityDetector;
 
 /// Follows the motion.
 #[derive(Clone, Debug)]
@@ -65,11 +62,11 @@ impl MotionState {
         let mut state = Self {
             extrapolator,
             has_imu: !imu.is_empty(),
-            saturation: SaturationDetector::new(&settings.gyroscope),
+            saturation: settings.gyroscope.saturation_detector(),
             saturated_at: None,
             last_sample: imu.first().map(|sample| sample.time),
             resumed_at: None,
-            zero_velocity: ZeroVelocityDetector::new(settings),
+            zero_velocity: ZeroVelocityDetector::new(&settings.standstill_tolerances()),
             inertial: InertialFilter::new(settings),
             odometry: OdometryPrior::new(&settings.motion_prior),
             hypotheses: settings.hypotheses.clone(),

@@ -3,15 +3,15 @@
 use std::collections::VecDeque;
 
 use portolan_geometry::Time;
-use portolan_motion::ExtrapolatorCounts;
+use portolan_motion::{
+    Beginning, DegenerateInterval, ExtrapolatorCounts, GravityInitialisation, WaitingSweeps,
+};
 use portolan_recall::Memory;
 use portolan_sensor::{ImuData, OdometryData};
 use thiserror::Error;
 
 use crate::belief::Belief;
-use crate::degenerate_intervals::DegenerateInterval;
 use crate::gap::{self, NextSweep};
-use crate::gravity_initialisation::{Beginning, GravityInitialisation, WaitingSweeps};
 use crate::issues::{Issue, Issues};
 use crate::local_map::GrowingMap;
 use crate::motion_state::MotionState;
@@ -61,7 +61,9 @@ impl LidarOdometry {
     /// An odometry that knows nothing yet.
     pub fn new(settings: OdometrySettings) -> Self {
         Self {
-            state: State::WaitingForGravity(GravityInitialisation::new(&settings.initialisation)),
+            state: State::WaitingForGravity(GravityInitialisation::new(
+                settings.initialisation.leveling_time,
+            )),
             settings,
             waiting: VecDeque::new(),
             ready: VecDeque::new(),
@@ -164,7 +166,7 @@ impl LidarOdometry {
     /// it moved.
     fn begin_anew(&mut self, since: Time) {
         let initialisation =
-            State::WaitingForGravity(GravityInitialisation::new(&self.settings.initialisation));
+            State::WaitingForGravity(GravityInitialisation::new(self.settings.initialisation.leveling_time));
         let State::Tracking(tracker) = std::mem::replace(&mut self.state, initialisation) else { return };
         self.ended.add(&tracker);
         self.attempts.ended(!tracker.is_warming_up());
@@ -215,7 +217,9 @@ impl LidarOdometry {
     /// Takes an IMU sample, in order of time.
     pub fn add_imu(&mut self, data: &ImuData) {
         let issue = match &mut self.state {
-            State::WaitingForGravity(initialisation) => initialisation.add_imu(data),
+            State::WaitingForGravity(initialisation) => {
+                initialisation.add_imu(data).err().map(Issue::of_imu_sample)
+            }
             State::FirstSweep(first) => first.motion.add_imu(data),
             State::Tracking(tracker) => tracker.motion_mut().add_imu(data),
         };

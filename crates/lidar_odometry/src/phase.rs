@@ -1,6 +1,7 @@
 //! The phases of an odometry.
 
-use crate::gravity_initialisation::GravityInitialisation;
+use portolan_motion::GravityInitialisation;
+
 use crate::motion_state::MotionState;
 use crate::settings::InitialisationSettings;
 use crate::start::FirstMotion;
@@ -30,7 +31,7 @@ pub(crate) enum State {
 
 impl Default for State {
     fn default() -> Self {
-        Self::WaitingForGravity(GravityInitialisation::new(&InitialisationSettings::default()))
+        Self::WaitingForGravity(GravityInitialisation::new(InitialisationSettings::default().leveling_time))
     }
 }
 

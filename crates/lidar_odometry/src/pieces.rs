@@ -4,10 +4,9 @@
 use std::collections::VecDeque;
 
 use portolan_geometry::{Rigid3, Time, Vector3, quaternion_from_angle_axis, yaw};
-use portolan_motion::ExtrapolatorCounts;
+use portolan_motion::{DegenerateInterval, ExtrapolatorCounts};
 use portolan_sensor::{ImuData, OdometryData};
 
-use crate::degenerate_intervals::DegenerateInterval;
 use crate::plane_map::PlaneMap;
 use crate::settings::LossSettings;
 use crate::sweep::Sweep;

@@ -5,6 +5,7 @@ use std::ops::Range;
 
 use nalgebra as na;
 use portolan_geometry::{Point3f, Rigid3};
+use portolan_motion::DegenerateDirections;
 use portolan_sensor::TimedPoint;
 
 use crate::deskew::PiecewiseLinearTrajectory;
@@ -13,6 +14,7 @@ use crate::poles::{PoleMap, PolePoint, PoleResiduals};
 use crate::segment::{SegmentCorrection, TrajectorySegment};
 use crate::settings::{PlaneFitSettings, RegistrationSettings};
 use attenuation::Attenuation;
+use degeneracy::degenerate_directions;
 use normal_equations::{Accumulator, Matched, NormalEquations};
 use pairs::{AT_ONCE, Pairs, Ray};
 use solve::solve;
@@ -24,8 +26,6 @@ mod pairs;
 mod solve;
 #[cfg(test)]
 mod tests;
-
-pub use degeneracy::DegenerateDirections;
 
 /// The points of a sweep are summed up in so many parts, within which the growth of the correction is constant.
 const PARTS: f64 = 8.0;
@@ -233,7 +233,7 @@ impl Registration {
                 .iter_mut()
                 .zip(by_poles)
                 .for_each(|(unreliable, poles)| *unreliable += poles);
-            degenerate = DegenerateDirections::of(&equations);
+            degenerate = degenerate_directions(&equations);
         }
         let Matched { points, reliable, squares } = equations.matched;
         let pose = segment.corrected_end(&correction);
@@ -274,7 +274,7 @@ impl Registration {
             return None;
         }
         // 3. What the points leave open, and what errors of normals hide.
-        let degenerate = DegenerateDirections::of(&equations);
+        let degenerate = degenerate_directions(&equations);
         let attenuation = Attenuation::of(&equations, scene.planes);
         // 4. The step of points and prior together.
         let step = solve(&equations, correction, prior, &degenerate, &attenuation)?;

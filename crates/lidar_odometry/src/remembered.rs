@@ -1,9 +1,10 @@
 //! What registration of a sweep found, as it is remembered: a job that was cut off takes it from there.
 
+use portolan_motion::DegenerateDirections;
 use portolan_recall::{Answer, Fingerprint, Sink, Words};
 
 use crate::predict::Reason;
-use crate::registration::{DegenerateDirections, RegistrationResult};
+use crate::registration::RegistrationResult;
 use crate::segment::{SegmentCorrection, TrajectorySegment};
 use crate::sweep::Sweep;
 

@@ -68,6 +68,7 @@ macro_rules! settings {
     };
 }
 
+mod for_motion;
 mod map;
 mod motion;
 mod registration;

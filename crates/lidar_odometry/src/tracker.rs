@@ -7,11 +7,11 @@ use std::sync::Arc;
 
 use portolan_geometry::nalgebra::{self, Matrix3};
 use portolan_geometry::{Duration, Point3f, Quaternion, Rigid3, Time, to_f32};
+use portolan_motion::{DegenerateInterval, DegenerateIntervals, Observability};
 use portolan_recall::{Fingerprint, Memory};
 use portolan_sensor::{PointCloud, RangeData};
 
 use crate::belief::{Belief, FitMonitor, Support};
-use crate::degenerate_intervals::{DegenerateInterval, DegenerateIntervals};
 use crate::deskew::deskewed;
 use crate::gap::{GapMotion, Velocities};
 use crate::initialise::{FirstSweeps, RotationAt, Start, VELOCITY_INTERVAL};
@@ -29,8 +29,6 @@ use crate::sweep::Sweep;
 use crate::sweep_registration::SweepRegistration;
 use crate::witness::Witness;
 use finding::Found;
-
-pub use observability::Observability;
 
 /// A sweep that was registered.
 #[derive(Clone, Debug)]
@@ -152,7 +150,7 @@ impl Tracker {
             poles: RecentPoles::new(&settings.poles),
             witness: Witness::new(settings),
             keyframes,
-            intervals: DegenerateIntervals::new(settings),
+            intervals: settings.degenerate_intervals(),
             fits: FitMonitor::new(&settings.loss),
             last_fitting: Arc::default(),
             fitted_at: registered.sweep.end,

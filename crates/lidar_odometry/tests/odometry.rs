@@ -3,9 +3,9 @@
 
 use portolan_geometry::{Duration, Point3f, Rigid3, Time, Vector3, to_f32};
 use portolan_lidar_odometry::{
-    DegenerateMotion, Fallback, Issue, LidarOdometry, OdometrySettings, Phase, RegisteredSweep, Sweep,
-    SweepError, SweepPoint,
+    Fallback, Issue, LidarOdometry, OdometrySettings, Phase, RegisteredSweep, Sweep, SweepError, SweepPoint,
 };
+use portolan_motion::DegenerateMotion;
 use portolan_sensor::{ImuData, PointCloud};
 
 fn at(seconds: f64) -> Time {

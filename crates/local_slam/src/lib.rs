@@ -21,8 +21,8 @@ use std::collections::VecDeque;
 use portolan_config::{AdaptiveVoxelFilterOptions, MotionFilterOptions};
 use portolan_geometry::{Duration, Rigid3, Time};
 use portolan_issue::{IssueKind, IssueLog};
-use portolan_lidar_odometry::{DegenerateInterval, SweepPoint};
-use portolan_motion::{ExtrapolatorCounts, MotionFilter, PoseExtrapolator};
+use portolan_lidar_odometry::SweepPoint;
+use portolan_motion::{DegenerateInterval, ExtrapolatorCounts, MotionFilter, PoseExtrapolator};
 use portolan_recall::Memory;
 use portolan_sensor::{
     ImuData, OdometryData, PointCloud, RangeData, RangeDataCollatorCounts, SensorId, SynchronizedRanges,

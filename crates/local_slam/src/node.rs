@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use portolan_geometry::{Quaternion, Rigid3, Time};
 use portolan_grids::ScanAgreement;
-use portolan_optimization::OpenDirections;
+use portolan_motion::Observability;
 use portolan_sensor::PointCloud;
 use portolan_submaps::PlanarScan;
 
@@ -59,8 +59,8 @@ pub struct InsertedNode<S: LocalSpace> {
     pub data: Arc<NodeData>,
     /// The submaps that it was inserted into, oldest first.
     pub submaps: Vec<InsertionSubmap<S>>,
-    /// What its scan left open.
-    pub open: OpenDirections,
+    /// Which motion its scan constrains.
+    pub open: Observability,
     /// What had gathered when it was taken (2D).
     pub gathered: GatheredVariance,
     /// How the map without its scan agrees with the scan (2D); none where there is nothing to compare with.
@@ -68,9 +68,9 @@ pub struct InsertedNode<S: LocalSpace> {
 }
 
 impl<S: LocalSpace> InsertedNode<S> {
-    /// Of a scan that left nothing open, and of which no more is known.
+    /// Of a scan that constrains all of its motion, and of which no more is known.
     pub fn new(data: Arc<NodeData>, submaps: Vec<InsertionSubmap<S>>) -> Self {
-        let (open, gathered) = (OpenDirections::default(), GatheredVariance::default());
+        let (open, gathered) = (Observability::default(), GatheredVariance::default());
         Self { data, submaps, open, gathered, agreement: None }
     }
 }

@@ -28,19 +28,19 @@ pub use local_track::{LocalTrack, Placement, TrackedNode};
 pub use map::{Map, ScanPose};
 pub use mapper::{EndedTrajectory, Loss, Mapper, MapperSettings, MapperWork};
 pub use node::Node;
-pub use portolan_lidar_odometry::{DegenerateInterval, DegenerateMotion, Substitute, SweepPoint};
+pub use portolan_lidar_odometry::SweepPoint;
 /// What local SLAM hands to the pose graph.
 pub use portolan_local_slam::{
     ActiveSubmaps, GatheredVariance, InsertedNode, InsertionSubmap, LocalSlam, LocalSpace, Lost,
     MatchAcceptance, MatchingResult, NodeData, OdometryBridge, Planar, Spatial,
 };
 pub use portolan_motion::{
-    ExtrapolatorCounts, ExtrapolatorError, ImuMotion, MotionFilter, PoseExtrapolator, integrate_imu,
+    DegenerateInterval, DegenerateMotion, ExtrapolatorCounts, ExtrapolatorError, ImuMotion, MotionFilter,
+    PoseExtrapolator, Substitute, integrate_imu,
 };
 /// The words in which maps are told.
 pub use portolan_optimization::{
-    Constraint, ConstraintTag, IndexedId, NodeId, OpenDirections, OpenShift, SubmapId, TrajectoryId,
-    of_trajectory,
+    Constraint, ConstraintTag, IndexedId, NodeId, OpenShift, SubmapId, TrajectoryId, of_trajectory,
 };
 pub use pose_graph::{
     CellFate, Coverage, Drift, Extension, GraphState, InitialTrajectoryPose, LoopSearchPolicy, PoseGraph,

@@ -4,9 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Bound;
 
 use portolan_geometry::{Duration, NearFrame, Quaternion, Rigid3, Time, Vector3, moved};
+use portolan_motion::Observability;
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkObservation, OdometryData};
 
-use crate::{NodeId, OpenDirections, SubmapId, TrajectoryConnectivity, TrajectoryId, of_trajectory};
+use crate::{NodeId, SubmapId, TrajectoryConnectivity, TrajectoryId, of_trajectory};
 
 /// A node as the optimisation sees it.
 #[derive(Clone, Debug, PartialEq)]
@@ -81,8 +82,8 @@ pub struct OptimizationData {
     pub submaps: BTreeMap<SubmapId, Rigid3>,
     /// Nodes.
     pub nodes: BTreeMap<NodeId, OptimizationNode>,
-    /// What the scans of nodes left open, of those that left anything open. Files do not keep it.
-    pub open: BTreeMap<NodeId, OpenDirections>,
+    /// What the scans of nodes constrain, of those with degenerate directions. Files do not keep it.
+    pub open: BTreeMap<NodeId, Observability>,
     /// Landmarks by name.
     pub landmarks: BTreeMap<String, LandmarkNode>,
     /// Measurements.

@@ -11,14 +11,14 @@ use std::collections::BTreeMap;
 use portolan_config::OptimizationProblemOptions;
 use portolan_geometry::nalgebra::Vector2;
 use portolan_geometry::{Rigid3, Time, Vector3, rotation_from_roll_pitch_yaw};
-use portolan_motion::fixed_frame_at;
+use portolan_motion::{Observability, fixed_frame_at};
 use portolan_numeric::{SplitMix64, median, quantile};
 use portolan_sensor::FixedFramePoseData;
 use portolan_solver::Loss;
 
 use super::data::{OptimizationData, OptimizationNode};
 use super::graph_problem::Weights;
-use crate::{NodeId, OpenDirections, TrajectoryId, of_trajectory};
+use crate::{NodeId, TrajectoryId, of_trajectory};
 
 /// Fewer fixes have no scatter.
 const MIN_FIXES: usize = 20;
@@ -85,7 +85,8 @@ impl FixedFrame {
         let measured = without_gaps(measured, data, fixed);
         let pair = |(id, fix): &(NodeId, Rigid3)| {
             let place = data.nodes.get(id)?.map_from_node.translation.vector;
-            let is_guess = |open: &OpenDirections| !open.translations.is_empty() && !open.way_is_measured;
+            let is_guess =
+                |of: &Observability| !of.degenerate.translations.is_empty() && !of.translation_is_measured;
             let is_guess = data.open.get(id).is_some_and(is_guess);
             Some(Pair { place, fix: fix.translation.vector, is_guess })
         };

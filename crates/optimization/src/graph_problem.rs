@@ -10,6 +10,7 @@ use portolan_motion::odometry_at;
 use portolan_solver::{Factor, Loss, Problem, SolverOptions, VariableId};
 
 use super::data::{LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary};
+use super::degeneracy::weakened;
 use super::fixes::{self, FixedFrame};
 use crate::{Constraint, NodeId, SubmapId, TrajectoryId, of_trajectory};
 
@@ -173,9 +174,9 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
             };
             if !is_loop
                 && self.is_held(constraint.node_id.trajectory_id)
-                && let Some((open, seconds)) = data.open.get(&constraint.node_id).zip(seconds())
+                && let Some((of, seconds)) = data.open.get(&constraint.node_id).zip(seconds())
             {
-                let root = open.weaken(weights, &constraint.submap_from_node, seconds);
+                let root = weakened(of, weights, &constraint.submap_from_node, seconds);
                 let variables = [*submap, *node];
                 if S::add_open_between(
                     &mut self.problem,
@@ -249,9 +250,9 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
         let measured = a.local_from_node.inverse() * b.local_from_node;
         let weights = (o.local_slam_pose_translation_weight, o.local_slam_pose_rotation_weight);
         if self.is_held(id_b.trajectory_id)
-            && let Some(open) = data.open.get(&id_b)
+            && let Some(of) = data.open.get(&id_b)
         {
-            let root = open.weaken(weights, &measured, b.time.seconds_since(a.time));
+            let root = weakened(of, weights, &measured, b.time.seconds_since(a.time));
             if S::add_open_between(&mut self.problem, variables, &measured, &root, Loss::None) {
                 return;
             }

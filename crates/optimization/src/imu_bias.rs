@@ -6,7 +6,6 @@ use std::collections::BTreeSet;
 use portolan_config::OptimizationProblemOptions;
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Duration, Quaternion, Time, Vector3, angle_axis_from_quaternion};
-use portolan_lidar_odometry::SaturationDetector;
 use portolan_lidar_odometry::settings::GyroscopeSettings;
 use portolan_motion::{ImuMotion, integrate_imu, velocity_change};
 use portolan_sensor::ImuData;
@@ -58,7 +57,8 @@ impl ImuBias {
     pub fn estimate(data: &OptimizationData, id: TrajectoryId, options: &OptimizationProblemOptions) -> Self {
         let nodes: Vec<(NodeId, &OptimizationNode)> = of_trajectory(&data.nodes, id).collect();
         let Some(sensors) = data.sensors.get(&id) else { return Self::default() };
-        let mut range = SaturationDetector::new(&GyroscopeSettings::default());
+        let settings = GyroscopeSettings::default();
+        let mut range = settings.saturation_detector();
         let saturated: BTreeSet<Time> = sensors
             .imu
             .values()
@@ -69,7 +69,6 @@ impl ImuBias {
         let steps: Vec<Step> = steps.collect();
         let mut bias = Self::default();
         let (mut seconds, mut turn) = (0.0, Vector3::zeros());
-        let settings = GyroscopeSettings::default();
         let may_be_bias = |s: &&Step| !s.saturated && s.difference.norm() <= settings.max_bias() * s.seconds;
         for step in steps.iter().filter(may_be_bias) {
             let told = settings.weight_at(step.turn / step.seconds);

@@ -4,11 +4,11 @@
 mod connectivity;
 mod constraint;
 mod data;
+mod degeneracy;
 mod fixes;
 mod graph_problem;
 mod id;
 mod imu_bias;
-mod open_directions;
 mod remembered;
 mod three_d;
 mod two_d;
@@ -21,7 +21,6 @@ pub use data::{
 };
 pub use fixes::unused_fixes;
 pub use id::{IndexedId, NodeId, SubmapId, TrajectoryId, of_trajectory};
-pub use open_directions::OpenDirections;
 pub use remembered::remembered_optimum;
 pub use three_d::optimize_3d;
 pub use two_d::optimize_2d;

@@ -11,6 +11,7 @@ use portolan_solver::{Loss, Problem, RotationFreedom, TranslationFreedom, Variab
 use super::data::{
     ImuState, LandmarkSighting, OptimizationData, OptimizationNode, OptimizationSummary, TrajectorySensors,
 };
+use super::degeneracy::only_degenerate_translations;
 use super::graph_problem::{GraphProblem, ProblemSpace, Role, SightingBetweenNodes, Weights, follows};
 use super::imu_bias::ImuBias;
 use crate::{Constraint, NodeId, TrajectoryId, of_trajectory};
@@ -100,11 +101,11 @@ impl<'a> SpatialProblem<'a> {
         (id_a, a): (NodeId, &OptimizationNode),
         (id_b, b): (NodeId, &OptimizationNode),
     ) {
-        let Some(open) = data.open.get(&id_b).filter(|_| self.graph.is_held(id_b.trajectory_id)) else {
+        let Some(of) = data.open.get(&id_b).filter(|_| self.graph.is_held(id_b.trajectory_id)) else {
             return;
         };
         let measured = a.local_from_node.inverse() * b.local_from_node;
-        let root = open.only_open_shifts(&measured, b.time.seconds_since(a.time));
+        let root = only_degenerate_translations(of, &measured, b.time.seconds_since(a.time));
         let Some(variables) = self.graph.node_pair(id_a, id_b) else { return };
         InSpace::add_open_between(&mut self.graph.problem, variables, &measured, &root, Loss::None);
     }

@@ -1,10 +1,11 @@
 //! One Gauss-Newton step: points and prior, weighed against each other.
 
 use nalgebra as na;
+use portolan_motion::DegenerateDirections;
 
 use super::attenuation::Attenuation;
 use super::normal_equations::NormalEquations;
-use super::{DegenerateDirections, MotionPrior, Sigmas};
+use super::{MotionPrior, Sigmas};
 use crate::segment::SegmentCorrection;
 
 /// In degenerate directions the prior decides: it counts so many times more than the points.

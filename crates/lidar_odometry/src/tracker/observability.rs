@@ -1,24 +1,12 @@
 //! Which motion a sweep constrains, and what is taken for the rest.
 
 use portolan_geometry::{Time, Vector3};
+use portolan_motion::{DegenerateDirections, DegenerateScan, Observability, Substitute};
 
 use super::Tracker;
-use crate::degenerate_intervals::{DegenerateScan, Substitute};
 use crate::issues::{Issue, Issues};
 use crate::predict::Registered;
-use crate::registration::DegenerateDirections;
 use crate::segment::{MotionSource, TrajectorySegment};
-
-/// Which motion a sweep constrains, and what is known of the rest.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Observability {
-    /// Directions that it does not constrain, in the tracking frame at its end.
-    pub degenerate: DegenerateDirections,
-    /// Whether odometry or a zero-velocity update measured the translation.
-    pub translation_is_measured: bool,
-    /// Whether a gyroscope measured the rotation.
-    pub rotation_is_measured: bool,
-}
 
 impl Tracker {
     /// Which motion a sweep constrains, in the tracking frame; joins what it does not to intervals.

@@ -4,9 +4,12 @@
 use portolan_config::TrajectoryBuilder3dOptions;
 use portolan_geometry::{Quaternion, Rigid3, Time, interpolate, is_valid_pose};
 use portolan_issue::{Issue, IssueKind, IssueLog};
+use portolan_lidar_odometry::Issue as OdometryIssue;
 use portolan_lidar_odometry::settings::{ExtrapolatorSettings, InitialisationSettings};
-use portolan_lidar_odometry::{Beginning, GravityInitialisation, Issue as OdometryIssue, WaitingSweeps};
-use portolan_motion::{ExtrapolatorCounts, MotionFilter, PoseExtrapolator};
+use portolan_motion::{
+    Beginning, ExtrapolatorCounts, GravityInitialisation, MotionFilter, Observability, PoseExtrapolator,
+    WaitingSweeps,
+};
 use portolan_recall::Memory;
 use portolan_sensor::{ImuData, OdometryData, PointCloud, RangeData};
 
@@ -18,7 +21,6 @@ use super::planes::{extrapolator_settings, kind_of};
 use crate::motion_filter;
 use crate::remembered_scans::RememberedScans;
 use crate::{MatchingResult, Spatial};
-use portolan_optimization::OpenDirections;
 
 /// Without an IMU a scan is de-skewed again with the pose it was matched at, so many times.
 const STRAIGHTENING_PASSES: u32 = 2;
@@ -53,7 +55,9 @@ impl GridEngine {
     ) -> Self {
         Self {
             extrapolator_settings: extrapolator_settings(options, settings),
-            initialisation: GravityInitialisation::of_one_sample(&InitialisationSettings::default()),
+            initialisation: GravityInitialisation::of_one_sample(
+                InitialisationSettings::default().leveling_time,
+            ),
             extrapolator: None,
             has_imu: false,
             matcher,
@@ -89,7 +93,7 @@ impl GridEngine {
 
     pub fn add_imu(&mut self, data: &ImuData, issues: &mut IssueLog) {
         let issue = match &mut self.extrapolator {
-            None => self.initialisation.add_imu(data),
+            None => self.initialisation.add_imu(data).err().map(OdometryIssue::of_imu_sample),
             Some(extrapolator) => match extrapolator.add_imu(data) {
                 Err(_) => Some(OdometryIssue::ImuSampleTooOld),
                 Ok(()) => (!self.has_imu).then_some(OdometryIssue::ImuAfterStart),
@@ -202,7 +206,7 @@ impl GridEngine {
             gravity_from_tracking: measured_gravity.unwrap_or(local_from_tracking.rotation),
             scan,
             clouds: Some(clouds),
-            open: OpenDirections::default(),
+            open: Observability::default(),
             completed_map: None,
         })
     }

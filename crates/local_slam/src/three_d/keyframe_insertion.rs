@@ -7,12 +7,12 @@ use portolan_geometry::{Point3f, Quaternion, Rigid3, Time, to_f32};
 use portolan_issue::IssueLog;
 use portolan_lidar_odometry::{Later, PlaneMap, is_worth_a_thread};
 use portolan_matching::rotational_histogram;
+use portolan_motion::Observability;
 use portolan_sensor::{PointCloud, RangeData};
 use portolan_submaps::{Inserter3d, Scan3d, Submap3d};
 
 use crate::{ActiveSubmaps, filtered};
 use crate::{InsertedNode, InsertionSubmap, MatchingResult, NodeData, Spatial};
-use portolan_optimization::OpenDirections;
 
 /// A sweep that was registered and is a key frame.
 pub(super) struct KeyframeScan {
@@ -24,8 +24,8 @@ pub(super) struct KeyframeScan {
     pub scan: RangeData,
     /// The fine and the coarse cloud, if they were needed for matching.
     pub clouds: Option<[PointCloud; 2]>,
-    /// What it left open.
-    pub open: OpenDirections,
+    /// Which motion it constrains.
+    pub open: Observability,
     /// The map of planes that it completed, together with the older submap.
     pub completed_map: Option<PlaneMap>,
 }

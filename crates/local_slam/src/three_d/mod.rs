@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 use portolan_config::TrajectoryBuilder3dOptions;
 use portolan_geometry::Time;
 use portolan_issue::{Issue, IssueKind, IssueLog};
-use portolan_lidar_odometry::{DegenerateInterval, WaitingSweeps};
+use portolan_motion::{DegenerateInterval, WaitingSweeps};
 use portolan_recall::Memory;
 use portolan_sensor::{
     ImuData, OdometryData, RangeDataCollator, SensorId, SynchronizedRanges, TimedPointCloudData,

@@ -5,10 +5,9 @@ use portolan_geometry::{Rigid3, Time, is_valid_pose};
 use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_lidar_odometry::settings::{ExtrapolatorSettings, KeyframeSettings, LocalMapSettings};
 use portolan_lidar_odometry::{
-    DegenerateInterval, Fallback, Issue as OdometryIssue, LidarOdometry, OdometrySettings, PlaneMap,
-    RegisteredSweep, WaitingSweeps,
+    Fallback, Issue as OdometryIssue, LidarOdometry, OdometrySettings, PlaneMap, RegisteredSweep,
 };
-use portolan_motion::{ExtrapolatorCounts, ImuBasedSettings};
+use portolan_motion::{DegenerateInterval, ExtrapolatorCounts, ImuBasedSettings, WaitingSweeps};
 use portolan_recall::Memory;
 use portolan_sensor::{ImuData, OdometryData, PointCloud, RangeData, voxel_filter};
 
@@ -18,7 +17,6 @@ use super::grid_matcher::GridMatcher;
 use super::keyframe_insertion::{KeyframeInsertion, KeyframeScan, clouds, keyframes_per_half};
 use crate::{ActiveSubmaps, Lost};
 use crate::{MatchingResult, Spatial};
-use portolan_optimization::OpenDirections;
 
 /// Local SLAM by lidar odometry.
 pub(super) struct PlaneEngine {
@@ -194,7 +192,7 @@ fn inserted(
                 ..deskewed
             },
             clouds: None,
-            open: OpenDirections::of(registered.observability),
+            open: registered.observability,
             completed_map: keyframe.completed_map,
         }),
     };

@@ -11,8 +11,8 @@ use std::sync::Arc;
 use portolan_config::TrajectoryBuilder2dOptions;
 use portolan_geometry::{Duration, Rigid2, Rigid3, Time};
 use portolan_issue::{Issue, IssueKind, IssueLog};
-use portolan_lidar_odometry::{DegenerateInterval, DegenerateIntervals};
-use portolan_motion::{MotionFilter, PoseExtrapolator};
+use portolan_lidar_odometry::OdometrySettings;
+use portolan_motion::{DegenerateInterval, DegenerateIntervals, MotionFilter, PoseExtrapolator};
 use portolan_recall::Memory;
 use portolan_sensor::{ImuData, OdometryData, SynchronizedRanges};
 use portolan_submaps::{Inserter2d, Submap2d};
@@ -108,7 +108,7 @@ impl FrontEnd {
             waiting_ranges: VecDeque::new(),
             start_velocity,
             has_begun_anew: false,
-            degenerate: DegenerateIntervals::default(),
+            degenerate: OdometrySettings::default().degenerate_intervals(),
             gathered: GatheredVariance::default(),
             guessed_way: GuessedWay::default(),
             role,

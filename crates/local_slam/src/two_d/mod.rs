@@ -25,7 +25,7 @@ mod witnesses;
 use portolan_config::TrajectoryBuilder2dOptions;
 use portolan_geometry::Time;
 use portolan_issue::{Issue, IssueKind, IssueLog};
-use portolan_lidar_odometry::DegenerateInterval;
+use portolan_motion::DegenerateInterval;
 use portolan_recall::Memory;
 use portolan_sensor::{ImuData, OdometryData, RangeDataCollator, SensorId, TimedPointCloudData};
 use portolan_submaps::Submap2d;

@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 
 use portolan_geometry::{Duration, Rigid2, Time, Vector2, Vector3};
-use portolan_lidar_odometry::{DegenerateScan, Substitute};
+use portolan_motion::{DegenerateScan, Substitute};
 
 use super::super::guessed_way::Velocity;
 use super::super::motion::{FASTEST, Measured, Motion};

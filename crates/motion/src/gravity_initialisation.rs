@@ -3,11 +3,9 @@
 use std::collections::VecDeque;
 
 use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3, quaternion_from_angle_axis};
-use portolan_motion::PoseExtrapolator;
 use portolan_sensor::{ImuData, OdometryData};
 
-use crate::issues::Issue;
-use crate::settings::InitialisationSettings;
+use crate::{ExtrapolatorError, PoseExtrapolator};
 
 /// The odometry poses that are kept before the first sweep, which wants to know how the platform was moving.
 const ODOMETRY_POSES: usize = 2;
@@ -46,9 +44,9 @@ pub struct GravityInitialisation {
 }
 
 impl GravityInitialisation {
-    /// Nothing yet. Accelerations are averaged as the settings say.
-    pub fn new(settings: &InitialisationSettings) -> Self {
-        let leveling_time = Duration::from_seconds(settings.leveling_time);
+    /// Nothing yet. Accelerations are averaged over so many seconds, and sweeps wait as long for the first of them.
+    pub fn new(leveling_seconds: f64) -> Self {
+        let leveling_time = Duration::from_seconds(leveling_seconds);
         Self {
             imu_wait: leveling_time,
             averaged_over: leveling_time,
@@ -57,22 +55,26 @@ impl GravityInitialisation {
         }
     }
 
-    /// Nothing yet. One sample tells which way is up; sweeps wait for it as the settings say.
-    pub fn of_one_sample(settings: &InitialisationSettings) -> Self {
-        Self { averaged_over: Duration::ZERO, ..Self::new(settings) }
+    /// Nothing yet. One sample tells which way is up; sweeps wait for it for so many seconds.
+    pub fn of_one_sample(wait_seconds: f64) -> Self {
+        Self { averaged_over: Duration::ZERO, ..Self::new(wait_seconds) }
     }
 
-    /// Takes a sample, in order of time. Gives what is wrong with it.
-    pub fn add_imu(&mut self, data: &ImuData) -> Option<Issue> {
+    /// Takes a sample, in order of time.
+    ///
+    /// # Errors
+    ///
+    /// If the sample is not finite, or older than the one before; it is left out.
+    pub fn add_imu(&mut self, data: &ImuData) -> Result<(), ExtrapolatorError> {
         let mut values = data.linear_acceleration.iter().chain(data.angular_velocity.iter());
         if !values.all(|v| v.is_finite()) {
-            return Some(Issue::ImuSampleNotFinite);
+            return Err(ExtrapolatorError::NotFinite);
         }
         if self.imu.last().is_some_and(|last| data.time < last.time) {
-            return Some(Issue::ImuSampleTooOld);
+            return Err(ExtrapolatorError::OutOfOrder);
         }
         self.imu.push(*data);
-        None
+        Ok(())
     }
 
     /// Takes an odometry pose. The newest are kept.
@@ -131,10 +133,10 @@ impl GravityInitialisation {
 fn mean_acceleration(samples: &[ImuData]) -> Option<Vector3> {
     let mut turned = Quaternion::identity();
     let mut sum = samples.first()?.linear_acceleration;
-    for pair in samples.windows(2) {
-        let seconds = pair[1].time.seconds_since(pair[0].time);
-        turned *= quaternion_from_angle_axis(&(pair[0].angular_velocity * seconds));
-        sum += turned * pair[1].linear_acceleration;
+    for (before, sample) in samples.iter().zip(samples.iter().skip(1)) {
+        let seconds = sample.time.seconds_since(before.time);
+        turned *= quaternion_from_angle_axis(&(before.angular_velocity * seconds));
+        sum += turned * sample.linear_acceleration;
     }
     Some(sum / samples.len() as f64)
 }
@@ -162,14 +164,14 @@ mod tests {
 
     #[test]
     fn a_second_of_samples_is_enough_and_so_is_a_second_without_any() {
-        let mut initialisation = GravityInitialisation::new(&InitialisationSettings::default());
+        let mut initialisation = GravityInitialisation::new(1.0);
         assert!(!initialisation.is_ready(None) && !initialisation.is_ready(Some(&waiting(0.9))));
         assert!(initialisation.is_ready(Some(&waiting(1.0))));
-        assert_eq!(initialisation.add_imu(&sample(0.0, 9.8)), None);
+        assert_eq!(initialisation.add_imu(&sample(0.0, 9.8)), Ok(()));
         assert!(
             !initialisation.is_ready(Some(&waiting(1.9))) && initialisation.is_ready(Some(&waiting(2.0)))
         );
-        assert_eq!(initialisation.add_imu(&sample(1.0, 9.8)), None);
+        assert_eq!(initialisation.add_imu(&sample(1.0, 9.8)), Ok(()));
         assert!(initialisation.is_ready(None));
         let begun = initialisation.begin(PoseExtrapolator::new(0.1, 10.0, true), None).unwrap();
         assert_eq!((begun.imu.len(), begun.extrapolator.last_pose_time()), (2, Some(Time::from_ticks(0))));
@@ -177,24 +179,24 @@ mod tests {
 
     #[test]
     fn one_sample_is_waited_for_and_is_enough() {
-        let mut initialisation = GravityInitialisation::of_one_sample(&InitialisationSettings::default());
+        let mut initialisation = GravityInitialisation::of_one_sample(1.0);
         assert!(!initialisation.is_ready(None) && !initialisation.is_ready(Some(&waiting(0.9))));
         assert!(initialisation.is_ready(Some(&waiting(1.0))));
-        assert_eq!(initialisation.add_imu(&sample(0.0, 9.8)), None);
+        assert_eq!(initialisation.add_imu(&sample(0.0, 9.8)), Ok(()));
         assert!(initialisation.is_ready(None));
     }
 
     #[test]
     fn samples_that_are_no_numbers_or_out_of_order_are_named() {
-        let mut initialisation = GravityInitialisation::new(&InitialisationSettings::default());
-        assert_eq!(initialisation.add_imu(&sample(0.5, f64::NAN)), Some(Issue::ImuSampleNotFinite));
-        assert_eq!(initialisation.add_imu(&sample(0.5, 9.8)), None);
-        assert_eq!(initialisation.add_imu(&sample(0.4, 9.8)), Some(Issue::ImuSampleTooOld));
+        let mut initialisation = GravityInitialisation::new(1.0);
+        assert_eq!(initialisation.add_imu(&sample(0.5, f64::NAN)), Err(ExtrapolatorError::NotFinite));
+        assert_eq!(initialisation.add_imu(&sample(0.5, 9.8)), Ok(()));
+        assert_eq!(initialisation.add_imu(&sample(0.4, 9.8)), Err(ExtrapolatorError::OutOfOrder));
     }
 
     #[test]
     fn without_anything_nothing_begins() {
-        let mut initialisation = GravityInitialisation::new(&InitialisationSettings::default());
+        let mut initialisation = GravityInitialisation::new(1.0);
         assert!(initialisation.begin(PoseExtrapolator::new(0.1, 10.0, true), None).is_none());
     }
 

@@ -3,8 +3,6 @@
 
 use portolan_geometry::{Duration, Time, Vector3};
 
-use crate::settings::OdometrySettings;
-
 /// More intervals are counted with the last one, which bounds memory.
 const MAX_INTERVALS: usize = 10_000;
 
@@ -124,18 +122,13 @@ pub struct DegenerateIntervals {
     velocity: Vector3,
 }
 
-impl Default for DegenerateIntervals {
-    fn default() -> Self {
-        Self::new(&OdometrySettings::default())
-    }
-}
-
 impl DegenerateIntervals {
-    /// None so far.
-    pub(crate) fn new(settings: &OdometrySettings) -> Self {
+    /// None so far. A platform that is slower than `resting_speed`, m/s, may as well stand; velocities are averaged over
+    /// `averaged_over` seconds, and scans farther apart than this belong to different intervals.
+    pub fn new(resting_speed: f64, averaged_over: f64) -> Self {
         Self {
-            resting_speed: settings.standstill.resting_speed,
-            averaged_over: settings.initialisation.leveling_time,
+            resting_speed,
+            averaged_over,
             intervals: Vec::new(),
             heading: None,
             velocity: Vector3::zeros(),
@@ -236,7 +229,7 @@ mod tests {
     use super::*;
 
     fn intervals() -> DegenerateIntervals {
-        DegenerateIntervals::new(&OdometrySettings::default())
+        DegenerateIntervals::new(0.02, 1.0)
     }
 
     fn scan(t: f64) -> DegenerateScan {

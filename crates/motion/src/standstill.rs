@@ -10,14 +10,31 @@ use std::collections::VecDeque;
 use portolan_geometry::{Rigid3, Time, Vector3, angle_axis_from_quaternion, quaternion_from_angle_axis};
 use portolan_sensor::ImuData;
 
-use crate::settings::{OdometrySettings, StandstillSettings};
-
 /// Poses of a platform that stands lie within so many standard deviations of their median, but for outliers.
 const OUTLIER: f64 = 3.0;
 /// Poses are remembered so many times as long as it has to stand, and the newest third is compared with the others.
 const REMEMBERED: f64 = 3.0;
 /// Of fewer poses there are no thirds.
 const LEAST_POSES: usize = 3;
+
+/// What a platform at rest may seem to do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StandstillTolerances {
+    /// The IMU has to be at rest, and the last poses where those before them are, for so long, seconds.
+    pub time: f64,
+    /// Samples of the IMU are averaged over this long, seconds, so that vibrations do not count.
+    pub bin: f64,
+    /// Standard deviation of averaged accelerations at rest, m/s².
+    pub acceleration_error: f64,
+    /// Of turn rates, whose bias may not be known yet, rad/s.
+    pub turn_rate_error: f64,
+    /// Wheels at rest report less speed, m/s.
+    pub resting_speed: f64,
+    /// Standard deviation of registered places, metres.
+    pub place_error: f64,
+    /// Standard deviation of registered rotations, radians.
+    pub rotation_error: f64,
+}
 
 /// The mean of the samples of a short time.
 #[derive(Clone, Copy, Debug, Default)]
@@ -28,15 +45,8 @@ struct Bin {
 
 /// Finds out whether the platform stands still.
 #[derive(Clone, Debug)]
-pub(crate) struct ZeroVelocityDetector {
-    settings: StandstillSettings,
-    /// The IMU has to be at rest, and the last poses where those before them are, for so long, seconds.
-    time: f64,
-    /// Standard deviations of registered poses: metres, and radians.
-    place_error: f64,
-    rotation_error: f64,
-    /// Of turn rates, whose bias may not be known yet, rad/s.
-    turn_rate_error: f64,
+pub struct ZeroVelocityDetector {
+    tolerances: StandstillTolerances,
     bins: VecDeque<Bin>,
     /// The bin that is being filled: since when, samples, and their sum.
     filling: Option<(Time, u32, Bin)>,
@@ -47,13 +57,10 @@ pub(crate) struct ZeroVelocityDetector {
 }
 
 impl ZeroVelocityDetector {
-    pub fn new(settings: &OdometrySettings) -> Self {
+    /// That knows nothing yet.
+    pub fn new(tolerances: &StandstillTolerances) -> Self {
         Self {
-            settings: settings.standstill.clone(),
-            time: settings.initialisation.leveling_time,
-            place_error: settings.plane_fit.range_noise,
-            rotation_error: settings.motion_prior.least_rotation_error,
-            turn_rate_error: settings.gyroscope.bias,
+            tolerances: *tolerances,
             bins: VecDeque::new(),
             filling: None,
             poses: VecDeque::new(),
@@ -63,7 +70,7 @@ impl ZeroVelocityDetector {
 
     /// Takes a sample without the bias of the gyroscope.
     pub fn add_imu(&mut self, data: &ImuData) {
-        let (duration, wanted_bins) = (self.settings.bin, self.wanted_bins());
+        let (duration, wanted_bins) = (self.tolerances.bin, self.wanted_bins());
         let (since, count, sum) = self.filling.get_or_insert((data.time, 0, Bin::default()));
         let age = data.time.seconds_since(*since);
         if !(0.0..duration).contains(&age) && *count > 0 {
@@ -87,7 +94,8 @@ impl ZeroVelocityDetector {
     /// Takes the pose at which a sweep was registered.
     pub fn add_pose(&mut self, time: Time, local_from_tracking: &Rigid3) {
         self.poses.push_back((time, *local_from_tracking));
-        let is_old = |(pose, _): &(Time, Rigid3)| time.seconds_since(*pose) > REMEMBERED * self.time;
+        let is_old =
+            |(pose, _): &(Time, Rigid3)| time.seconds_since(*pose) > REMEMBERED * self.tolerances.time;
         while self.poses.front().is_some_and(is_old) {
             self.poses.pop_front();
         }
@@ -97,13 +105,13 @@ impl ZeroVelocityDetector {
     /// Scans that leave a direction open register where the scanner is believed to stand, and an IMU feels no even
     /// motion: what odometry saw moving does not stand.
     pub fn add_odometry(&mut self, translation: &Vector3, seconds: f64) {
-        if translation.norm() > self.settings.resting_speed * seconds {
+        if translation.norm() > self.tolerances.resting_speed * seconds {
             self.poses.clear();
             self.drift = Vector3::zeros();
             return;
         }
         self.drift += translation;
-        if self.drift.norm() > self.place_error {
+        if self.drift.norm() > self.tolerances.place_error {
             self.poses.clear();
             self.drift = Vector3::zeros();
         }
@@ -115,6 +123,7 @@ impl ZeroVelocityDetector {
         if !is_resting || !self.sweeps_are_enough() {
             return None;
         }
+        let &StandstillTolerances { place_error, rotation_error, .. } = &self.tolerances;
         let all: Vec<Rigid3> = self.poses.iter().map(|(_, pose)| *pose).collect();
         let (older, newer) = all.split_at(all.len() - all.len() / 3);
         let (stands, now) = (median(&all)?, median(newer)?);
@@ -122,11 +131,11 @@ impl ZeroVelocityDetector {
         let most_are_near = |poses: &[Rigid3]| {
             let near = |p: &&Rigid3| {
                 let (shift, turn) = distance(&stands, p);
-                shift < OUTLIER * self.place_error && turn < OUTLIER * self.rotation_error
+                shift < OUTLIER * place_error && turn < OUTLIER * rotation_error
             };
             2 * poses.iter().filter(near).count() > poses.len()
         };
-        let is_steady = shift < self.place_error && turn < self.rotation_error;
+        let is_steady = shift < place_error && turn < rotation_error;
         (is_steady && most_are_near(older)).then_some(stands)
     }
 
@@ -135,7 +144,7 @@ impl ZeroVelocityDetector {
     fn sweeps_are_enough(&self) -> bool {
         let (Some(first), Some(last)) = (self.poses.front(), self.poses.back()) else { return false };
         let interval = last.0.seconds_since(first.0) / (self.poses.len() as f64 - 1.0).max(1.0);
-        self.poses.len() >= LEAST_POSES && (self.poses.len() as f64 + 0.5) * interval >= self.time
+        self.poses.len() >= LEAST_POSES && (self.poses.len() as f64 + 0.5) * interval >= self.tolerances.time
     }
 
     /// The mean specific force (m/s²) of an IMU that has been at rest for half of the wanted time or more.
@@ -147,7 +156,7 @@ impl ZeroVelocityDetector {
 
     /// So many bins are as long as it has to be at rest.
     fn wanted_bins(&self) -> usize {
-        (self.time / self.settings.bin).round() as usize
+        (self.tolerances.time / self.tolerances.bin).round() as usize
     }
 
     /// The generalised likelihood ratio of an IMU at rest (Skog et al. 2010): accelerations are what they are in the mean, and
@@ -155,7 +164,7 @@ impl ZeroVelocityDetector {
     fn imu_rests(&self) -> bool {
         let count = self.bins.len() as f64;
         let mean = self.bins.iter().map(|bin| bin.acceleration).sum::<Vector3>() / count;
-        let (acceleration_error, turn_rate_error) = (self.settings.acceleration_error, self.turn_rate_error);
+        let &StandstillTolerances { acceleration_error, turn_rate_error, .. } = &self.tolerances;
         let ratio = |bin: &Bin| {
             let acceleration = (bin.acceleration - mean) / acceleration_error;
             acceleration.norm_squared() + (bin.turn_rate / turn_rate_error).norm_squared()
@@ -171,19 +180,21 @@ fn distance(a: &Rigid3, b: &Rigid3) -> (f64, f64) {
 
 /// The median of each coordinate of poses near each other, turns as seen from the last one.
 fn median(poses: &[Rigid3]) -> Option<Rigid3> {
-    let reference = poses.last()?;
-    let middle = |mut values: Vec<f64>| {
+    let reference = poses.last()?.rotation;
+    let turn = |pose: &Rigid3| angle_axis_from_quaternion(&(reference.inverse() * pose.rotation));
+    let place = median_of(&poses.iter().map(|pose| pose.translation.vector).collect::<Vec<Vector3>>())?;
+    let turn = median_of(&poses.iter().map(turn).collect::<Vec<Vector3>>())?;
+    Some(Rigid3::from_parts(place.into(), reference * quaternion_from_angle_axis(&turn)))
+}
+
+/// The median of each coordinate.
+fn median_of(vectors: &[Vector3]) -> Option<Vector3> {
+    let middle = |coordinate: fn(&Vector3) -> f64| {
+        let mut values: Vec<f64> = vectors.iter().map(coordinate).collect();
         values.sort_unstable_by(f64::total_cmp);
-        values[values.len() / 2]
+        values.get(values.len() / 2).copied()
     };
-    let turns: Vec<Vector3> = poses
-        .iter()
-        .map(|p| angle_axis_from_quaternion(&(reference.rotation.inverse() * p.rotation)))
-        .collect();
-    let along = |axis: usize| middle(poses.iter().map(|p| p.translation.vector[axis]).collect());
-    let about = |axis: usize| middle(turns.iter().map(|t| t[axis]).collect());
-    let turn = quaternion_from_angle_axis(&Vector3::new(about(0), about(1), about(2)));
-    Some(Rigid3::from_parts([along(0), along(1), along(2)].into(), reference.rotation * turn))
+    Some(Vector3::new(middle(|v| v.x)?, middle(|v| v.y)?, middle(|v| v.z)?))
 }
 
 #[cfg(test)]
@@ -192,7 +203,15 @@ mod tests {
     use portolan_geometry::Duration;
 
     fn detector() -> ZeroVelocityDetector {
-        ZeroVelocityDetector::new(&OdometrySettings::default())
+        ZeroVelocityDetector::new(&StandstillTolerances {
+            time: 1.0,
+            bin: 0.05,
+            acceleration_error: 0.08,
+            turn_rate_error: 0.02,
+            resting_speed: 0.02,
+            place_error: 0.02,
+            rotation_error: 0.005,
+        })
     }
 
     fn time(seconds: f64) -> Time {
