@@ -113,6 +113,9 @@ impl CellGrid {
 
     /// Doubles the grid until all `points` (metres) are inside. `companions` are further lists of cells
     /// of the same shape, which move along. Nothing changes when that would need too many cells.
+    ///
+    /// # Errors
+    /// If that would need more than `max_cells` cells.
     pub fn grow_to_include(
         &mut self,
         points: &[Vector2f],

@@ -160,6 +160,9 @@ pub(crate) struct Bounds {
 
 impl Bounds {
     /// The box of the origin alone.
+    ///
+    /// # Errors
+    /// If the origin is not finite.
     pub fn of_origin(origin: Point3f) -> Result<Self, GridError> {
         if !is_finite(&origin) {
             return Err(GridError::InvalidOrigin { x: origin.x, y: origin.y, z: origin.z });

@@ -21,6 +21,9 @@ pub(crate) struct Frames<'a> {
 
 impl Frames<'_> {
     /// `tracking_from_frame` at a time.
+    ///
+    /// # Errors
+    /// As for [`TfTree::lookup`].
     pub fn tracking_from(&self, frame: &str, time: Time) -> Result<Rigid3, TfError> {
         match frame_name(frame) {
             "" => Ok(Rigid3::identity()),

@@ -148,6 +148,9 @@ pub struct Ingestion {
 
 impl Ingestion {
     /// Looks at the recording, makes a plan and starts to read.
+    ///
+    /// # Errors
+    /// If the recording cannot be read, or no plan can be made.
     pub fn new(recording: &dyn Recording, options: &IngestOptions) -> Result<Self, IngestError> {
         let inventory = Inventory::of(recording, options)?;
         let plan = plan(&inventory, options)?;
@@ -155,6 +158,9 @@ impl Ingestion {
     }
 
     /// Starts to read as planned.
+    ///
+    /// # Errors
+    /// If the recording cannot be read, or a sampling ratio is not within 0 to 1.
     pub fn with_plan(
         recording: &dyn Recording,
         inventory: &Inventory,
@@ -229,6 +235,9 @@ impl Ingestion {
     }
 
     /// The next measurement, `None` at the end. An error ends the reading.
+    ///
+    /// # Errors
+    /// If the recording cannot be read.
     pub fn next_measurement(&mut self) -> Result<Option<(SensorId, Measurement)>, RecordingError> {
         loop {
             if let Some(measurement) = self.ready.pop() {

@@ -131,6 +131,9 @@ pub struct CloudLayout {
 
 impl CloudLayout {
     /// Finds the fields of a cloud by their names; order and types may be any.
+    ///
+    /// # Errors
+    /// If the cloud has no coordinates, or a field does not fit into a point.
     pub fn of(cloud: &PointCloud2) -> Result<Self, CloudError> {
         let step = cloud.point_step as usize;
         let find = |name: &str| Field::find(&cloud.fields, name, step);

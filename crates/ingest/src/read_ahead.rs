@@ -50,6 +50,9 @@ impl ReadAhead {
     }
 
     /// The next message; transforms among them are in the tree already.
+    ///
+    /// # Errors
+    /// If the recording cannot be read.
     pub fn next(&mut self) -> Result<Option<RecordedMessage>, RecordingError> {
         loop {
             if let Some(message) = self.pop_ready() {

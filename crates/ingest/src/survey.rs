@@ -112,6 +112,9 @@ pub fn is_tf(type_name: &str) -> bool {
 
 impl Inventory {
     /// Looks at the first 20 s at most (and at all static transforms).
+    ///
+    /// # Errors
+    /// If the recording cannot be read.
     pub fn of(recording: &dyn Recording, options: &IngestOptions) -> Result<Self, RecordingError> {
         let mut tree = TfTree::new();
         let mut tf = TfInput::new(&options.map_frame);

@@ -40,6 +40,9 @@ pub struct RobotDescription {
 }
 
 /// Reads a URDF file.
+///
+/// # Errors
+/// If the file cannot be read, is larger than 16 MiB or no text, or as for [`parse_urdf`].
 pub fn read_urdf(path: &Path) -> Result<RobotDescription, RecordingError> {
     let io_error = |source| RecordingError::Io { path: path.to_owned(), source };
     let bytes = read_all(path, MAX_BYTES).map_err(|error| match error.kind() {
@@ -59,6 +62,9 @@ fn described(path: &Path, detail: &str) -> RecordingError {
 }
 
 /// Understands the text of a URDF file; the error says what to do.
+///
+/// # Errors
+/// If the text is no URDF: xacro that is not expanded, no valid XML, or another kind of document.
 pub fn parse_urdf(text: &str, is_xacro: bool) -> Result<RobotDescription, String> {
     if is_xacro || text.contains("<xacro:") || text.contains("xmlns:xacro=") {
         return Err("it contains xacro macros, which must be expanded first: run `xacro robot.urdf.xacro > robot.urdf` \

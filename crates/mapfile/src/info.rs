@@ -140,6 +140,9 @@ impl Extent {
 
 /// Reads the rest of a map and sums it up, as far as it is whole ([`MapInfo::damage`]). The pose graph is taken out of the reader: it would be the largest
 /// part of the memory that this needs.
+///
+/// # Errors
+/// If the map cannot be read.
 pub fn info(reader: &mut MapReader) -> Result<MapInfo, PbstreamError> {
     let mut info = MapInfo { format_version: reader.header().format_version, ..MapInfo::default() };
     for name in ["submap_2d", "submap_2d_grid", "submap_3d", "submap_3d_high_resolution_hybrid_grid"] {

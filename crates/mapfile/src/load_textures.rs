@@ -30,6 +30,9 @@ pub struct MapTextures {
 
 /// Reads the rest of a map and makes the texture of every submap. Submaps that cannot be shown are
 /// named in the result; the others follow (unlike in other programs, which stop painting there).
+///
+/// # Errors
+/// If the map cannot be read.
 pub fn load_textures(reader: &mut MapReader) -> Result<MapTextures, PbstreamError> {
     let poses = submap_poses(reader.pose_graph());
     let mut loaded = load_placed_textures(reader, &|id| Some((id, poses.get(&id).copied())))?;
@@ -87,6 +90,9 @@ pub(crate) fn load_placed_textures(
 }
 
 /// The texture of a 2D or 3D submap; for 3D that of the fine grid, seen from above in the global map.
+///
+/// # Errors
+/// As for [`texture_2d`] and [`texture_3d`], or if there is no submap in the message.
 pub fn submap_texture(
     submap: &Submap,
     map_from_submap: &Rigid3,

@@ -87,6 +87,9 @@ pub enum MigrateError {
 }
 
 /// Writes `input` in format version 2 to `output`. Messages that need no change are copied byte for byte.
+///
+/// # Errors
+/// If reading or writing fails, or if the map has ids, poses or submaps that version 2 cannot hold.
 pub fn migrate(input: &Path, output: &Path, options: MigrateOptions) -> Result<MigrateReport, MigrateError> {
     let plan = Plan::make(input, options)?;
     let mut report = MigrateReport { from_version: plan.from_version, ..MigrateReport::default() };

@@ -179,6 +179,9 @@ impl EvidenceMap {
 ///
 /// Textures that are seen exactly from the side (a submap tilted by a quarter turn) have no area and
 /// leave nothing.
+///
+/// # Errors
+/// If there is nothing to paint, the picture would be too large, or an option or a texture is not valid.
 pub fn paint(textures: &[PlacedTexture], options: &PaintOptions) -> Result<PaintedMap, PaintError> {
     let (layout, pixels) = blend_all(textures, options, [128, 0], over)?;
     let Layout { width, height, origin } = layout;
@@ -188,6 +191,9 @@ pub fn paint(textures: &[PlacedTexture], options: &PaintOptions) -> Result<Paint
 /// Adds up what all submaps say about each place, in the manner of a Bayesian filter. Where submaps
 /// disagree a painted map shows the last one and no certainty, and free space seen from afar by many wipes out walls that few saw
 /// from nearby; this shows what most of the evidence is for.
+///
+/// # Errors
+/// As for [`paint`].
 pub fn sum_evidence(textures: &[PlacedTexture], options: &PaintOptions) -> Result<EvidenceMap, PaintError> {
     let (layout, evidence) = blend_all(textures, options, 0, add_evidence)?;
     let Layout { width, height, origin } = layout;

@@ -118,6 +118,9 @@ pub enum RepairError {
 ///
 /// The input is read twice; memory grows with the pose graph, not with grids or point clouds. Input and
 /// output may be the same file.
+///
+/// # Errors
+/// If the input cannot be read, is something else than a map or has no whole node and submap, or if the output cannot be written.
 pub fn repair(input: &Path, output: &Path, limits: ReadLimits) -> Result<RepairReport, RepairError> {
     let mut report = RepairReport::default();
     let survey = Survey::take(input, limits, &mut report)?;

@@ -22,6 +22,9 @@ pub enum ImageName {
 }
 
 /// Writes `<stem>.pgm` and `<stem>.yaml`; returns their names.
+///
+/// # Errors
+/// If a file cannot be written, or the name of the image is not Unicode.
 pub fn write_ros_map(
     stem: &Path,
     map: &PaintedMap,
@@ -52,6 +55,9 @@ fn with_ending(stem: &Path, ending: &str) -> PathBuf {
 }
 
 /// Writes the image of a ROS map: occupied is black, free white.
+///
+/// # Errors
+/// If the file cannot be written.
 pub fn write_pgm(path: &Path, map: &PaintedMap) -> Result<(), WriteError> {
     let mut file = AtomicFile::create(path)?;
     let grey: Vec<u8> = map.grey().collect();

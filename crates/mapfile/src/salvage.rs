@@ -33,6 +33,8 @@ pub(crate) struct Salvage {
 }
 
 impl Salvage {
+    /// # Errors
+    /// If the file cannot be opened.
     pub fn open(path: &Path, limits: ReadLimits) -> io::Result<Self> {
         let file = portolan_input::regular_file(path)?;
         let length = file.metadata()?.len();
@@ -50,6 +52,9 @@ impl Salvage {
     }
 
     /// The next whole record, or nothing at the end.
+    ///
+    /// # Errors
+    /// If the file cannot be read.
     pub fn next_message(&mut self) -> io::Result<Option<RawMessage>> {
         while self.position < self.length {
             let start = self.position;

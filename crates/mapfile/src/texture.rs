@@ -67,6 +67,9 @@ pub enum TextureError {
 
 impl SubmapTexture {
     /// As a message, with packed pixels.
+    ///
+    /// # Errors
+    /// If the pixels cannot be packed.
     pub fn to_proto(&self) -> std::io::Result<TextureMessage> {
         Ok(TextureMessage {
             cells: gzip(self.pixels.as_flattened())?,
@@ -79,6 +82,9 @@ impl SubmapTexture {
 }
 
 /// The texture of a 2D submap, cropped to its known cells.
+///
+/// # Errors
+/// If the submap has no grid, one of an unknown type or one that is damaged, or no valid pose.
 pub fn texture_2d(submap: &Submap2D) -> Result<SubmapTexture, TextureError> {
     let grid = submap.grid.as_ref().ok_or(TextureError::NoGrid)?;
     let local_from_submap = pose_from_proto(submap.local_pose.as_ref()).ok_or(TextureError::Pose("local"))?;

@@ -21,6 +21,9 @@ const FREE_SPACE_WEIGHT: f32 = 0.15;
 /// The texture of the fine grid of a 3D submap. The picture is taken along the z axis of the global map,
 /// so it changes with the pose `map_from_submap`. Errors also when the coarse grid is missing, because
 /// such a submap is not complete.
+///
+/// # Errors
+/// If one of the two grids is missing, or as for [`xray_texture`].
 pub fn texture_3d(submap: &Submap3D, map_from_submap: &Rigid3) -> Result<SubmapTexture, TextureError> {
     submap.low_resolution_hybrid_grid.as_ref().ok_or(TextureError::NoGrid)?;
     let high = submap.high_resolution_hybrid_grid.as_ref().ok_or(TextureError::NoGrid)?;
@@ -28,6 +31,9 @@ pub fn texture_3d(submap: &Submap3D, map_from_submap: &Rigid3) -> Result<SubmapT
 }
 
 /// The X-ray of one hybrid grid.
+///
+/// # Errors
+/// If the grid is damaged, or its voxels lie so far apart that the picture would be too large.
 pub fn xray_texture(grid: &HybridGrid, map_from_submap: &Rigid3) -> Result<SubmapTexture, TextureError> {
     // Where single precision tells voxels apart; the place of the picture in the submap is the same.
     let map_from_submap = &NearFrame::around([map_from_submap.translation.vector]).near(map_from_submap);

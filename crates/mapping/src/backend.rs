@@ -94,6 +94,9 @@ enum Place<S: Space> {
 
 impl<S: Space> Backend<S> {
     /// Takes the graph to where it will work. `threads` is the number used for searching.
+    ///
+    /// # Errors
+    /// If threads cannot be started.
     pub fn start(graph: PoseGraph<S>, threads: usize) -> Result<Self, MapperError> {
         let threads = threads.max(1);
         let pool = move || {
@@ -136,6 +139,9 @@ impl<S: Space> Backend<S> {
     }
 
     /// Gives work; it is done later, in order.
+    ///
+    /// # Errors
+    /// If the pose graph has stopped because of an internal fault.
     pub fn enqueue(
         &mut self,
         work: impl FnOnce(&mut PoseGraph<S>) + Send + 'static,
@@ -164,6 +170,9 @@ impl<S: Space> Backend<S> {
     }
 
     /// Gives work of microseconds; it is done in its turn, with the next work that is enqueued.
+    ///
+    /// # Errors
+    /// As for [`Self::enqueue`].
     pub fn enqueue_along(
         &mut self,
         work: impl FnOnce(&mut PoseGraph<S>) + Send + 'static,
@@ -176,6 +185,9 @@ impl<S: Space> Backend<S> {
     }
 
     /// Does work after everything given before, and waits for its answer.
+    ///
+    /// # Errors
+    /// As for [`Self::enqueue`].
     pub fn call<R: Send + 'static>(
         &mut self,
         work: impl FnOnce(&mut PoseGraph<S>) -> R + Send + 'static,
@@ -207,6 +219,9 @@ impl<S: Space> Backend<S> {
     }
 
     /// Finishes all work, this as the last, and gives the graph back. Meanwhile `watch` is called now and then.
+    ///
+    /// # Errors
+    /// If the pose graph has stopped because of an internal fault.
     pub fn finish(
         mut self,
         last: impl FnOnce(&mut PoseGraph<S>) + Send + 'static,

@@ -67,6 +67,9 @@ use CompressedPointCloudError as Error;
 
 impl CompressedPointCloud {
     /// Compresses points in metres; the error per axis is at most half a millimetre.
+    ///
+    /// # Errors
+    /// If a point is beyond the bounds of the format, 8388 m, or there are more points than it can count.
     pub fn compress(points: &[Point3f]) -> Result<Self, Error> {
         let mut cells = Vec::with_capacity(points.len());
         for (index, point) in points.iter().enumerate() {
@@ -78,6 +81,9 @@ impl CompressedPointCloud {
 
     /// Like [`CompressedPointCloud::compress`], but leaves out points beyond the format's bounds and
     /// says how many.
+    ///
+    /// # Errors
+    /// If there are more points than the format can count.
     pub fn compress_within_bounds(points: &[Point3f]) -> Result<(Self, usize), Error> {
         let cells: Vec<Cell> = points.iter().filter_map(Cell::of).collect();
         let left_out = points.len() - cells.len();
@@ -100,6 +106,9 @@ impl CompressedPointCloud {
 
     /// The points in metres, in the order of the format, not that of the original cloud. Data after the
     /// last counted point are not looked at, as the format says.
+    ///
+    /// # Errors
+    /// If the data are damaged.
     pub fn decompress(&self) -> Result<Vec<Point3f>, Error> {
         let wanted = usize::try_from(self.num_points).map_err(|_| Error::NegativeCount(self.num_points))?;
         // The claim is not believed before the data are seen.

@@ -18,6 +18,9 @@ pub struct FixedRatioSampler {
 
 impl FixedRatioSampler {
     /// A sampler that keeps `ratio` of all pulses, 0 (none) to 1 (all).
+    ///
+    /// # Errors
+    /// If the ratio is not within these.
     pub fn new(ratio: f64) -> Result<Self, InvalidRatio> {
         if !(0.0..=1.0).contains(&ratio) {
             return Err(InvalidRatio(ratio));

@@ -209,6 +209,9 @@ pub fn search_after_gap(
 }
 
 /// The gradient matcher that the options describe.
+///
+/// # Errors
+/// If a weight is not positive.
 pub fn gradient_matcher(
     options: &CeresScanMatcher2dOptions,
 ) -> Result<GradientMatcher2d, MatcherOptionError> {

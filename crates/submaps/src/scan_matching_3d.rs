@@ -74,6 +74,9 @@ pub fn clouds_in_grids<'a>([high, low]: [&'a PointCloud; 2], submap: &'a Submap3
 }
 
 /// The gradient matcher that the options describe, for a fine and a coarse cloud.
+///
+/// # Errors
+/// If a weight is not positive.
 pub fn gradient_matcher_3d(
     options: &CeresScanMatcher3dOptions,
     use_intensities: bool,

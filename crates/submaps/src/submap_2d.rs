@@ -25,6 +25,9 @@ pub enum Inserter2d {
 impl Inserter2d {
     /// As the options of the grid and of its inserter say. `join_surfaces`: grids of probabilities show what lies between
     /// neighbouring returns of one surface, too.
+    ///
+    /// # Errors
+    /// If a probability, length or weight is outside of its range.
     pub fn new(options: &Submaps2dOptions, join_surfaces: bool) -> Result<Self, InserterOptionError> {
         let inserter = &options.range_data_inserter;
         match (options.grid_options_2d.grid_type, inserter.range_data_inserter_type) {
@@ -116,6 +119,9 @@ pub struct Submap2d {
 
 impl Submap2d {
     /// An empty submap at an origin in the local map.
+    ///
+    /// # Errors
+    /// If the origin or the resolution is not finite, or the resolution not positive.
     pub fn new(
         origin_in_local: Point3f,
         resolution: f64,

@@ -28,6 +28,9 @@ pub struct Inserter3d {
 
 impl Inserter3d {
     /// As the options say; histograms have `histogram_size` buckets.
+    ///
+    /// # Errors
+    /// If a probability is on the wrong side of one half.
     pub fn new(
         options: &Submaps3dOptions,
         histogram_size: usize,
@@ -115,6 +118,9 @@ const MOST_WAITING_POINTS: usize = 120_000;
 
 impl Submap3d {
     /// An empty submap at an origin in the local map, with the axes of a scan's gravity-aligned frame.
+    ///
+    /// # Errors
+    /// If a resolution is not positive and finite.
     pub fn new(
         origin_in_local: Point3f,
         local_from_gravity_aligned: Quaternion,

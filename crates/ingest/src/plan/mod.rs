@@ -431,6 +431,9 @@ impl<'a> Chosen<'a> {
 }
 
 /// Chooses sensors and the tracking frame.
+///
+/// # Errors
+/// If there is nothing to map with, a topic that was asked for is missing or of another type, or transforms or options do not fit.
 pub fn plan(inventory: &Inventory, options: &IngestOptions) -> Result<SensorPlan, PlanError> {
     let request = Request::new(inventory, options)?;
     let mut plan = SensorPlan {

@@ -187,6 +187,9 @@ impl TfTree {
     }
 
     /// Places `child` in `parent` for all times. What is already there stays: the first one counts.
+    ///
+    /// # Errors
+    /// If the frame is in another one already, if the frames would go in a circle, or if there are too many.
     pub fn insert_static(
         &mut self,
         parent: &str,
@@ -202,6 +205,9 @@ impl TfTree {
     }
 
     /// Places `child` in `parent` at one time. A static frame stays as it is.
+    ///
+    /// # Errors
+    /// As for [`Self::insert_static`].
     pub fn insert_moving(
         &mut self,
         parent: &str,
@@ -314,6 +320,9 @@ impl TfTree {
     /// `target_from_source` at `time`: takes coordinates in `source` to coordinates in `target`.
     /// Moving frames are interpolated; times outside of what is known are an error, unless the frame has
     /// never moved so far.
+    ///
+    /// # Errors
+    /// If a frame is not known, the two are not connected, or one that moves is not known at this time.
     pub fn lookup(&self, target: &str, source: &str, time: Time) -> Result<Rigid3, TfError> {
         if target == source {
             return Ok(Rigid3::identity());

@@ -79,6 +79,9 @@ impl<'a> Rest<'a> {
     }
 
     /// Copies what is wanted of one file.
+    ///
+    /// # Errors
+    /// If the file cannot be read, or what is written to fails.
     pub fn copy(&mut self, source: &Source, limits: ReadLimits, write: Write<'_>) -> Result<(), EditError> {
         let failed = |error| EditError::File { path: source.path.clone(), source: error };
         let mut reader = PbstreamReader::open_with(&source.path, limits).map_err(failed)?;
@@ -103,6 +106,9 @@ impl<'a> Rest<'a> {
     }
 
     /// Writes what belongs after everything that was measured.
+    ///
+    /// # Errors
+    /// If what is written to fails.
     pub fn finish(&mut self, write: Write<'_>) -> Result<(), EditError> {
         let messages = self.derived.values_mut().flat_map(DerivedImu::rest);
         messages.map(|d| SerializedData { data: Some(Data::ImuData(d)) }.encode_to_vec()).try_for_each(write)

@@ -56,6 +56,9 @@ pub(super) struct Unread {
 
 impl Unread {
     /// Reads it from a file, with the options of its trajectories in their order.
+    ///
+    /// # Errors
+    /// If the file cannot be read.
     pub fn read(path: &Path, limits: ReadLimits) -> Result<(Self, Vec<TrajectoryOptions>), PbstreamError> {
         let (mut unread, mut all) = (Self::default(), Vec::new());
         let (graph_tag, options_tag) = (MessageKind::PoseGraph.tag(), MessageKind::Options.tag());

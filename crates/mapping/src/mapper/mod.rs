@@ -114,12 +114,18 @@ pub struct EndedTrajectory {
 
 impl<S: Space> Mapper<S> {
     /// An empty map.
+    ///
+    /// # Errors
+    /// If threads cannot be started.
     pub fn new(options: &Options, settings: MapperSettings) -> Result<Self, MapperError> {
         let graph = PoseGraph::new(options.map_builder.pose_graph.clone());
         Self::with_graph(options, settings, graph, BTreeMap::new())
     }
 
     /// Continues a map: `graph` holds its trajectories, `ended` what else is known of them.
+    ///
+    /// # Errors
+    /// If threads cannot be started.
     pub fn with_graph(
         options: &Options,
         settings: MapperSettings,
@@ -130,17 +136,26 @@ impl<S: Space> Mapper<S> {
     }
 
     /// Remembers what was matched, searched and optimised with this. To be called before anything is added.
+    ///
+    /// # Errors
+    /// If the pose graph has stopped because of an internal fault.
     pub fn remember_with(&mut self, memory: &Memory) -> Result<(), MapperError> {
         (S::mapper_work().remember_with)(self, memory)
     }
 
     /// Lets the poses of scans, and what stays of removed nodes, wait in nameless files in this folder instead of memory. To be
     /// called before anything is added.
+    ///
+    /// # Errors
+    /// If the pose graph has stopped because of an internal fault.
     pub fn spool_in(&mut self, folder: &Path) -> Result<(), MapperError> {
         (S::mapper_work().spool_in)(self, folder)
     }
 
     /// Starts a trajectory with these sensors.
+    ///
+    /// # Errors
+    /// If options contradict each other, or the pose graph has stopped because of an internal fault.
     pub fn add_trajectory(
         &mut self,
         sensors: &BTreeSet<SensorId>,
@@ -151,6 +166,9 @@ impl<S: Space> Mapper<S> {
 
     /// Takes a measurement. Returns what became of scans, this one or earlier ones that waited for
     /// other sensors. Waits for the pose graph no longer than the settings say.
+    ///
+    /// # Errors
+    /// If the trajectory does not exist or has ended, or the pose graph has stopped because of an internal fault.
     pub fn add(
         &mut self,
         id: TrajectoryId,
@@ -161,6 +179,9 @@ impl<S: Space> Mapper<S> {
     }
 
     /// Ends a trajectory: what waits is used, its submaps are completed.
+    ///
+    /// # Errors
+    /// If the trajectory does not exist or has ended, or the pose graph has stopped because of an internal fault.
     pub fn finish_trajectory(&mut self, id: TrajectoryId) -> Result<Vec<MatchingResult<S>>, MapperError> {
         (S::mapper_work().finish_trajectory)(self, id)
     }
@@ -186,6 +207,9 @@ impl<S: Space> Mapper<S> {
     }
 
     /// Gives access to the pose graph after everything given so far; waits for the answer.
+    ///
+    /// # Errors
+    /// If the pose graph has stopped because of an internal fault.
     pub fn with_pose_graph<R: Send + 'static>(
         &mut self,
         work: impl FnOnce(&mut PoseGraph<S>) -> R + Send + 'static,
@@ -204,11 +228,17 @@ impl<S: Space> Mapper<S> {
     }
 
     /// Ends all trajectories, optimises for the last time, and gives the map.
+    ///
+    /// # Errors
+    /// If the pose graph has stopped because of an internal fault.
     pub fn finish(self) -> Result<(Map<S>, IssueLog), MapperError> {
         self.finish_while(&mut |_| true)
     }
 
     /// As [`Self::finish`]; `goes_on` is told now and then how far it is, and with false it does as [`Self::stop`].
+    ///
+    /// # Errors
+    /// As for [`Self::finish`].
     pub fn finish_while(
         self,
         goes_on: &mut dyn FnMut(BackendProgress) -> bool,
