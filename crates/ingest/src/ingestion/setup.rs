@@ -90,29 +90,7 @@ pub(super) fn sensors(
         });
     };
     for range in &plan.range {
-        let rate = range.statistics.rate;
-        let is_asked = range.azimuth_times != AzimuthTimes::Off && rate > 0.0 && rate.is_finite();
-        let by_azimuth = is_asked.then(|| TimesByAzimuth {
-            meaning: range.azimuth_times,
-            clock: TurnClock::new(range.turn.map_or(1.0, |turn| turn.in_intervals) / rate),
-            keeps_stamps: stamps == StampPolicy::AsIs,
-            turn: range.turn,
-        });
-        add(
-            &range.source,
-            Role::Range {
-                point_time: range.point_time,
-                by_azimuth,
-                sweep_stamps: sweep_stamps(range, stamps),
-                coordinates: Coordinates {
-                    length_unit: range.length_unit,
-                    raise: (range.beam_elevation != 0.0).then(|| Raise::new(range.beam_elevation)),
-                },
-                scan_duration: range.scan_duration,
-                smoothing: range.range_noise.and_then(BeamSmoothing::of),
-                directions: Box::default(),
-            },
-        );
+        add(&range.source, role_of_range(range, stamps));
     }
     if let Some(imu) = &plan.imu {
         add(
@@ -133,6 +111,29 @@ pub(super) fn sensors(
         add(source, Role::Landmarks);
     }
     sensors
+}
+
+fn role_of_range(range: &PlannedRange, stamps: StampPolicy) -> Role {
+    let rate = range.statistics.rate;
+    let is_asked = range.azimuth_times != AzimuthTimes::Off && rate > 0.0 && rate.is_finite();
+    let by_azimuth = is_asked.then(|| TimesByAzimuth {
+        meaning: range.azimuth_times,
+        clock: TurnClock::new(range.turn.map_or(1.0, |turn| turn.in_intervals) / rate),
+        keeps_stamps: stamps == StampPolicy::AsIs,
+        turn: range.turn,
+    });
+    Role::Range {
+        point_time: range.point_time,
+        by_azimuth,
+        sweep_stamps: sweep_stamps(range, stamps),
+        coordinates: Coordinates {
+            length_unit: range.length_unit,
+            raise: (range.beam_elevation != 0.0).then(|| Raise::new(range.beam_elevation)),
+        },
+        scan_duration: range.scan_duration,
+        smoothing: range.range_noise.and_then(BeamSmoothing::of),
+        directions: Box::default(),
+    }
 }
 
 /// Whether some sensor moves against the tracking frame, so that `/tf` must be read.

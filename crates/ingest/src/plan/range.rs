@@ -231,51 +231,15 @@ pub(super) fn connect(
     range: Vec<Chosen>,
     plan: &mut SensorPlan,
 ) -> Result<(), PlanError> {
-    let asked_for = !request.range.is_empty();
     let mut refused = Vec::new();
     for chosen in range {
-        let frame =
-            if chosen.frame().is_empty() { plan.tracking_frame.clone() } else { chosen.frame().to_owned() };
-        if chosen.frame().is_empty() {
-            plan.note(
-                format!("{} names no frame; it is taken to be at \"{frame}\"", chosen.topic()),
-                "--tracking-frame",
-            );
+        let frame = frame_of(&chosen, plan);
+        if !is_used(inventory, request, &chosen, &frame, plan)? {
+            refused.push(chosen.topic().to_owned());
+            continue;
         }
-        let is_connected = inventory.tree.connected(&plan.tracking_frame, &frame);
-        if let Some(why) = why_apart(&inventory.tree, &frame, &plan.tracking_frame) {
-            if asked_for && !is_connected {
-                let detail = format!(
-                    "{}: {why}; give them with --urdf, or choose another --tracking-frame",
-                    chosen.topic()
-                );
-                return Err(PlanError::Frame { detail });
-            }
-            if !asked_for {
-                let change = match is_connected {
-                    true => format!("{} {}", flag(&chosen), chosen.topic()),
-                    false => "--urdf <robot description>".to_owned(),
-                };
-                plan.warn(format!("{} is not used: {why}", chosen.topic()), change);
-                refused.push(chosen.topic().to_owned());
-                continue;
-            }
-        }
-        let beam_elevation = beam_elevation(&chosen, is_cloud(&chosen), options, plan);
-        let times = times_of_points(&chosen, is_cloud(&chosen), options.azimuth_times, plan);
-        let statistics = chosen.survey.range.clone().unwrap_or_default();
-        plan.range.push(PlannedRange {
-            times_in_doubt: options.azimuth_times == AzimuthTimes::Auto && statistics.times_in_doubt,
-            source: chosen.planned(SensorKind::Range, &frame),
-            point_time: times.recorded,
-            scan_duration: (options.azimuth_times == AzimuthTimes::Off && !is_cloud(&chosen)).then_some(0.0),
-            range_noise: fixed_noise(options.range_noise).filter(|_| !is_cloud(&chosen)),
-            length_unit: chosen.survey.length_unit,
-            azimuth_times: times.by_azimuth,
-            turn: times.turn,
-            beam_elevation,
-            statistics,
-        });
+        let planned = planned(&chosen, &frame, options, plan);
+        plan.range.push(planned);
     }
     if plan.range.is_empty() {
         let detail = format!(
@@ -293,4 +257,61 @@ pub(super) fn connect(
         );
     }
     Ok(())
+}
+
+/// The frame of a sensor: the tracking frame if it names none.
+fn frame_of(chosen: &Chosen, plan: &mut SensorPlan) -> String {
+    if !chosen.frame().is_empty() {
+        return chosen.frame().to_owned();
+    }
+    let frame = plan.tracking_frame.clone();
+    plan.note(
+        format!("{} names no frame; it is taken to be at \"{frame}\"", chosen.topic()),
+        "--tracking-frame",
+    );
+    frame
+}
+
+/// Whether a sensor in this frame is used: one that was asked for is, however it is connected.
+fn is_used(
+    inventory: &Inventory,
+    request: &Request,
+    chosen: &Chosen,
+    frame: &str,
+    plan: &mut SensorPlan,
+) -> Result<bool, PlanError> {
+    let Some(why) = why_apart(&inventory.tree, frame, &plan.tracking_frame) else { return Ok(true) };
+    let is_connected = inventory.tree.connected(&plan.tracking_frame, frame);
+    if request.range.is_empty() {
+        let change = match is_connected {
+            true => format!("{} {}", flag(chosen), chosen.topic()),
+            false => "--urdf <robot description>".to_owned(),
+        };
+        plan.warn(format!("{} is not used: {why}", chosen.topic()), change);
+        return Ok(false);
+    }
+    if is_connected {
+        return Ok(true);
+    }
+    let topic = chosen.topic();
+    let detail = format!("{topic}: {why}; give them with --urdf, or choose another --tracking-frame");
+    Err(PlanError::Frame { detail })
+}
+
+fn planned(chosen: &Chosen, frame: &str, options: &IngestOptions, plan: &mut SensorPlan) -> PlannedRange {
+    let beam_elevation = beam_elevation(chosen, is_cloud(chosen), options, plan);
+    let times = times_of_points(chosen, is_cloud(chosen), options.azimuth_times, plan);
+    let statistics = chosen.survey.range.clone().unwrap_or_default();
+    PlannedRange {
+        times_in_doubt: options.azimuth_times == AzimuthTimes::Auto && statistics.times_in_doubt,
+        source: chosen.planned(SensorKind::Range, frame),
+        point_time: times.recorded,
+        scan_duration: (options.azimuth_times == AzimuthTimes::Off && !is_cloud(chosen)).then_some(0.0),
+        range_noise: fixed_noise(options.range_noise).filter(|_| !is_cloud(chosen)),
+        length_unit: chosen.survey.length_unit,
+        azimuth_times: times.by_azimuth,
+        turn: times.turn,
+        beam_elevation,
+        statistics,
+    }
 }
