@@ -54,7 +54,7 @@ pub fn measure(
     if as_planned.turns_alike && measured(exactly(1.0)).turns_alike {
         return as_planned.comparison;
     }
-    // Sweeps that are straightened with rates in other units match nothing, so that they tell nothing of the units.
+    // Sweeps that are de-skewed with rates in other units match nothing, so that they tell nothing of the units.
     let in_degrees = measured(exactly(1f64.to_radians()));
     let imu = in_degrees.imu.filter(|_| in_degrees.turns_alike);
     let mounting = imu.map(|imu| ImuMounting { imu, turned: 0.0, factor: 1f64.to_degrees() });

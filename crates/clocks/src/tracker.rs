@@ -22,7 +22,7 @@ const WANTED_POINTS: f32 = 1500.0;
 const MIN_MATCHED_FRACTION: f64 = 0.15;
 /// Sweeps farther apart do not tell one turn, seconds.
 const MAX_INTERVAL: f64 = 0.35;
-/// A sweep is straightened with the velocity that its match tells, so many times.
+/// A sweep is de-skewed with the velocity that its match tells, so many times.
 const TURNS: u32 = 3;
 /// Rotations of a sweep are kept this far apart, seconds.
 const ROTATION_SPACING: f64 = 0.001;
@@ -85,7 +85,7 @@ pub(super) struct SweepTracker {
     unmatched: u32,
     spacing: f32,
     /// The points of a sweep as seen from its middle, those that are matched, and which these are.
-    straight: Vec<Point3f>,
+    deskewed: Vec<Point3f>,
     chosen: Vec<Point3f>,
     kept: Vec<u32>,
 }
@@ -106,7 +106,7 @@ impl Default for SweepTracker {
             segment: 0,
             unmatched: 0,
             spacing: 0.4,
-            straight: Vec::new(),
+            deskewed: Vec::new(),
             chosen: Vec::new(),
             kept: Vec::new(),
         }
@@ -130,7 +130,7 @@ impl SweepTracker {
         let predicted = self.last.as_ref().and_then(|last| last.predicted(sweep.middle, gyroscope));
         let Some(predicted) = predicted.filter(|_| self.unmatched < MAX_UNMATCHED) else {
             self.lose();
-            self.straighten(sweep, &rotations, &Vector3::zeros());
+            self.deskew(sweep, &rotations, &Vector3::zeros());
             self.last = Some(Last::first(sweep.middle));
             self.insert(&sweep.origin);
             return None;
@@ -168,12 +168,12 @@ impl SweepTracker {
         let mut pose = *predicted;
         let mut found = None;
         for turn in 0..TURNS {
-            self.straighten(sweep, rotations, &(pose.rotation.inverse() * velocity));
+            self.deskew(sweep, rotations, &(pose.rotation.inverse() * velocity));
             if turn == 0 {
                 self.choose();
             }
             self.chosen.clear();
-            self.chosen.extend(self.kept.iter().filter_map(|i| self.straight.get(*i as usize)));
+            self.chosen.extend(self.kept.iter().filter_map(|i| self.deskewed.get(*i as usize)));
             let map = self.maps.front()?;
             let map_from_local = map.local_from_map.inverse();
             let prior = PosePrior {
@@ -203,25 +203,25 @@ impl SweepTracker {
     }
 
     /// The points as they were seen from the middle of the sweep; `velocity` in the tracking frame.
-    fn straighten(&mut self, sweep: &Sweep, rotations: &Rotations, velocity: &Vector3) {
+    fn deskew(&mut self, sweep: &Sweep, rotations: &Rotations, velocity: &Vector3) {
         let velocity = velocity.cast::<f32>();
-        self.straight.clear();
+        self.deskewed.clear();
         let seen = |(offset, position): &(f32, Point3f)| {
             Point3f::from(rotations.at(*offset) * position.coords + velocity * *offset)
         };
-        self.straight.extend(sweep.points.iter().map(seen));
+        self.deskewed.extend(sweep.points.iter().map(seen));
     }
 
     /// Chooses points that cover everything seen.
     fn choose(&mut self) {
-        self.kept = voxel_filter_indices(&self.straight, |p| *p, self.spacing);
+        self.kept = voxel_filter_indices(&self.deskewed, |p| *p, self.spacing);
         if !self.kept.is_empty() {
             let correction = (self.kept.len() as f32 / WANTED_POINTS).sqrt().clamp(0.7, 1.4);
             self.spacing = (self.spacing * correction).clamp(0.02, 5.0);
         }
     }
 
-    /// Inserts the straight points where the last pose is.
+    /// Inserts the deskewed points where the last pose is.
     fn insert(&mut self, origin: &Point3f) {
         let Some(last) = &self.last else { return };
         if self.maps.back().is_none_or(|map| map.sweeps >= SWEEPS_OF_A_MAP) {
@@ -234,7 +234,7 @@ impl SweepTracker {
         for map in &mut self.maps {
             let map_from_tracking = to_f32(&(map.local_from_map.inverse() * last.local_from_tracking));
             let origin = map_from_tracking * origin;
-            map.planes.insert_all(self.straight.iter().map(|point| map_from_tracking * point), &origin);
+            map.planes.insert_all(self.deskewed.iter().map(|point| map_from_tracking * point), &origin);
             map.sweeps += 1;
         }
     }

@@ -121,7 +121,7 @@ impl Sample {
     }
 
     /// With the motion taken out that its points have by these times.
-    fn straightened(&self, times: Option<TurnTimes>, twist: &Twist) -> Vec<[f32; 3]> {
+    fn deskewed(&self, times: Option<TurnTimes>, twist: &Twist) -> Vec<[f32; 3]> {
         let Some(times) = times else { return self.points.clone() };
         let moved = |(p, phases): (&[f32; 3], &Phases)| {
             let point = Vector3::from(p.map(f64::from));
@@ -157,21 +157,21 @@ pub(super) fn follow(
     before: Option<&Followed>,
 ) -> Option<Followed> {
     let twists = before.map_or_else(|| vec![Twist::default(); samples.len()], Followed::twists);
-    let straight: Vec<Vec<[f32; 3]>> =
-        samples.iter().zip(&twists).map(|(s, twist)| s.straightened(times, twist)).collect();
-    follow_straight(samples, straight, before)
+    let deskewed: Vec<Vec<[f32; 3]>> =
+        samples.iter().zip(&twists).map(|(s, twist)| s.deskewed(times, twist)).collect();
+    follow_deskewed(samples, deskewed, before)
 }
 
-fn follow_straight(
+fn follow_deskewed(
     samples: &[Sample],
-    straight: Vec<Vec<[f32; 3]>>,
+    deskewed: Vec<Vec<[f32; 3]>>,
     before: Option<&Followed>,
 ) -> Option<Followed> {
-    let judged: Vec<_> = straight.iter().map(|points| spread(points, JUDGED_POINTS)).collect();
-    let sources: Vec<_> = straight.iter().map(|points| spread(points, MATCHED_POINTS)).collect();
+    let judged: Vec<_> = deskewed.iter().map(|points| spread(points, JUDGED_POINTS)).collect();
+    let sources: Vec<_> = deskewed.iter().map(|points| spread(points, MATCHED_POINTS)).collect();
     let surfaces = |sweep: usize| before.and_then(|before| before.surfaces.get(sweep));
     let mut targets: Vec<Target> =
-        straight.into_iter().enumerate().map(|(sweep, p)| Target::new(p, surfaces(sweep))).collect();
+        deskewed.into_iter().enumerate().map(|(sweep, p)| Target::new(p, surfaces(sweep))).collect();
     let mut poses = vec![Rigid3::identity()];
     let mut matched = Vec::new();
     let mut lag = before.map_or(1, |before| before.lag);

@@ -68,7 +68,7 @@ pub(crate) enum Times {
 
 /// What sweeps say of the times of their points.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Told {
+pub(super) struct ToldTimes {
     /// What they are.
     pub times: Times,
     /// Whether it is clear that this is right, not only that times are wrong as they are.
@@ -136,7 +136,7 @@ pub(super) fn told_by_fits(
     duty: f64,
     by_azimuth: Option<AzimuthWitness>,
     fits: &impl Fits,
-) -> Option<Told> {
+) -> Option<ToldTimes> {
     // Fits alone do not tell that a lidar spins: sweeps that never repeat hardly show the same things.
     let by_azimuth = by_azimuth.filter(|witness| is_known(&witness.skew));
     let scaled = clear_scale(skew, duty, fits);
@@ -146,7 +146,7 @@ pub(super) fn told_by_fits(
         let is_rivalled = by_azimuth
             .is_some_and(|witness| turned.is_none() && fits.sigmas_better(times, witness.times()) > 0.0);
         if !is_rivalled {
-            return Some(Told { times, is_clear: true });
+            return Some(ToldTimes { times, is_clear: true });
         }
     }
     let all = || scales_of_times(duty).map(Times::Scaled).chain(by_azimuth.map(|witness| witness.times()));
@@ -158,7 +158,7 @@ pub(super) fn told_by_fits(
     };
     let is_contradicted = scaled.is_some() || all().any(contradicts);
     let times = all().max_by(|a, b| fits.explained(*a).total_cmp(&fits.explained(*b)))?;
-    is_contradicted.then_some(Told { times, is_clear: false })
+    is_contradicted.then_some(ToldTimes { times, is_clear: false })
 }
 
 /// Whether a factor is known at all.
@@ -293,12 +293,12 @@ mod tests {
         };
         let by_azimuth = |is_clear| {
             let times = Times::ByAzimuth(skew(unknown, unknown).turn());
-            Some(Told { times, is_clear })
+            Some(ToldTimes { times, is_clear })
         };
         let none: fn(f64) -> f64 = |s| -s.abs();
         // Factors alone, where fits agree; both together; neither. Fits alone do not tell that a lidar spins.
         assert_eq!(told((1.0, 0.1), -0.5, none, 1.0), by_azimuth(true));
-        assert_eq!(told(unknown, 0.0, none, 0.2), Some(Told { times: NONE, is_clear: false }));
+        assert_eq!(told(unknown, 0.0, none, 0.2), Some(ToldTimes { times: NONE, is_clear: false }));
         assert_eq!(told((0.9, 0.3), 0.0, none, 0.3), by_azimuth(true));
         assert_eq!(told((0.9, 0.3), 0.0, none, 0.7), by_azimuth(false));
         assert_eq!(told((0.9, 0.4), 0.0, none, 1.0), None);

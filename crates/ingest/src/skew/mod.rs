@@ -259,7 +259,7 @@ impl SkewEstimator {
 
     /// What is known by now, and whether azimuths leave it open.
     fn estimate(&self) -> Option<(Skew, bool)> {
-        let Judged { mut skew, times, straightened } = match self.has_times {
+        let Judged { mut skew, times, deskewed } = match self.has_times {
             true => self.judged(TurnTimes::RECORDED)?,
             false => self.judged_by_azimuth()?,
         };
@@ -267,9 +267,9 @@ impl SkewEstimator {
         let may_be_raw = self.has_times && skew.state() == SkewState::Removed;
         let by_azimuth = if may_be_raw { self.other_state_by_azimuth() } else { None };
         skew.is_contradicted = matches!(by_azimuth, Some(SkewState::Raw | SkewState::Partial))
-            || self.is_contradicted(skew.state(), &straightened);
+            || self.is_contradicted(skew.state(), &deskewed);
         skew.elevation = match skew.state() {
-            SkewState::Raw => beams::elevation(&self.batches, &straightened, Some(times)),
+            SkewState::Raw => beams::elevation(&self.batches, &deskewed, Some(times)),
             SkewState::Removed => beams::elevation(&self.batches, &self.as_is(), None),
             SkewState::Partial | SkewState::Unknown => None,
         };
@@ -281,34 +281,33 @@ impl SkewEstimator {
 struct Judged {
     skew: Skew,
     times: TurnTimes,
-    straightened: Vec<Followed>,
+    deskewed: Vec<Followed>,
 }
 
 impl SkewEstimator {
     fn judged(&self, times: TurnTimes) -> Option<Judged> {
         let as_is = self.pairs_as_is();
-        let straightened = self.straightened(times)?;
-        let (at_none, at_all) =
-            (evidence::step(&as_is, times)?, evidence::step(&pairs(&straightened), times)?);
+        let deskewed = self.deskewed(times)?;
+        let (at_none, at_all) = (evidence::step(&as_is, times)?, evidence::step(&pairs(&deskewed), times)?);
         let largest = match times.clock {
             Clock::Recorded => at_none.factors + at_none.sigmas * evidence::LIKELY,
             Clock::Azimuth => evidence::largest_steps(&as_is, at_none, times)?,
         };
-        Some(Judged { skew: skew(at_none, at_all, largest, times), times, straightened })
+        Some(Judged { skew: skew(at_none, at_all, largest, times), times, deskewed })
     }
 
     /// The same by azimuth, with the turn that is most likely.
     fn judged_by_azimuth(&self) -> Option<Judged> {
         let mut judged = self.judged(evidence::most_likely_turn(&self.pairs_as_is())?)?;
         for _ in 0..SEAM_ROUNDS {
-            let Some(better) = evidence::better_turn(&pairs(&judged.straightened), judged.times) else {
+            let Some(better) = evidence::better_turn(&pairs(&judged.deskewed), judged.times) else {
                 break;
             };
             judged = self.judged(better)?;
         }
-        if let Some((times, straightened)) = self.shorter_turn(&judged) {
+        if let Some((times, deskewed)) = self.shorter_turn(&judged) {
             let skew = Skew { turn_in_intervals: times.part, ..judged.skew.of_part(times.part) };
-            judged = Judged { skew, times, straightened };
+            judged = Judged { skew, times, deskewed };
         }
         Some(judged)
     }
@@ -318,18 +317,18 @@ impl SkewEstimator {
     }
 
     /// Whether sweeps fit better as they came although they are said to be raw, or the other way round.
-    fn is_contradicted(&self, state: SkewState, straightened: &[Followed]) -> bool {
-        let fits_worse_as_is = |straightened: &[Followed]| fit::is_better(&self.as_is(), straightened);
+    fn is_contradicted(&self, state: SkewState, deskewed: &[Followed]) -> bool {
+        let fits_worse_as_is = |deskewed: &[Followed]| fit::is_better(&self.as_is(), deskewed);
         match state {
             SkewState::Raw => {
-                fit::is_better(straightened, &self.as_is())
-                    || (self.has_times && self.turns_begin_elsewhere(straightened))
+                fit::is_better(deskewed, &self.as_is())
+                    || (self.has_times && self.turns_begin_elsewhere(deskewed))
             }
             SkewState::Removed => {
-                (self.has_times && fits_worse_as_is(straightened))
+                (self.has_times && fits_worse_as_is(deskewed))
                     || fit::usual_turns()
-                        .filter_map(|turn| self.straightened(turn))
-                        .any(|straightened| fits_worse_as_is(&straightened))
+                        .filter_map(|turn| self.deskewed(turn))
+                        .any(|deskewed| fits_worse_as_is(&deskewed))
             }
             SkewState::Partial | SkewState::Unknown => false,
         }
@@ -340,13 +339,13 @@ impl SkewEstimator {
     fn shorter_turn(&self, judged: &Judged) -> Option<(TurnTimes, Vec<Followed>)> {
         let one_in = hypotheses::one_cloud_in(&judged.skew, self.interval);
         let times = TurnTimes { part: one_in?.recip(), ..judged.times };
-        let shorter = self.straightened(times)?;
-        fit::is_better(&judged.straightened, &shorter).then_some((times, shorter))
+        let shorter = self.deskewed(times)?;
+        fit::is_better(&judged.deskewed, &shorter).then_some((times, shorter))
     }
 
     /// All sweeps with the motion of such turns taken out; none if they do not fit then.
-    fn straightened(&self, times: TurnTimes) -> Option<Vec<Followed>> {
-        self.batches.iter().map(|batch| batch.straightened(times)).collect()
+    fn deskewed(&self, times: TurnTimes) -> Option<Vec<Followed>> {
+        self.batches.iter().map(|batch| batch.deskewed(times)).collect()
     }
 
     fn as_is(&self) -> Vec<Followed> {
@@ -359,7 +358,7 @@ fn pairs(followed: &[Followed]) -> Vec<&Pair> {
 }
 
 impl Batch {
-    fn straightened(&self, times: TurnTimes) -> Option<Followed> {
+    fn deskewed(&self, times: TurnTimes) -> Option<Followed> {
         follow::follow(&self.samples, Some(times), Some(&self.as_is))
     }
 }

@@ -4,7 +4,7 @@ use std::f32::consts::TAU;
 
 use super::evidence::{self, TurnTimes};
 use super::follow::{Followed, Sample};
-use super::hypotheses::{self, AzimuthWitness, Fits, Times, Told};
+use super::hypotheses::{self, AzimuthWitness, Fits, Times, ToldTimes};
 use super::{Judged, Skew, SkewEstimator, SkewState, beams, fit, pairs};
 use crate::beam_elevation::ElevationOffset;
 
@@ -43,13 +43,13 @@ impl SkewEstimator {
         let mut fits = FitsOfTimes(Vec::new());
         for scale in hypotheses::scales_of_times(duty) {
             let times = TurnTimes { part: scale * duty, ..TurnTimes::RECORDED };
-            fits.0.push((Times::Scaled(scale), times, self.straightened(times)?));
+            fits.0.push((Times::Scaled(scale), times, self.deskewed(times)?));
         }
         let witness = by_azimuth.map(|(judged, witness)| {
-            fits.0.push((Times::ByAzimuth(witness.skew.turn()), judged.times, judged.straightened));
+            fits.0.push((Times::ByAzimuth(witness.skew.turn()), judged.times, judged.deskewed));
             witness
         });
-        let Told { times, is_clear } = hypotheses::told_by_fits(skew, duty, witness, &fits)?;
+        let ToldTimes { times, is_clear } = hypotheses::told_by_fits(skew, duty, witness, &fits)?;
         let elevation = (fits.of(times))
             .filter(|_| is_clear)
             .and_then(|(_, times, followed)| beams::elevation(&self.batches, followed, Some(*times)));
@@ -84,8 +84,8 @@ impl SkewEstimator {
     }
 
     /// Whether sweeps say that turns begin elsewhere than by recorded times, whose motion was taken out.
-    pub(super) fn turns_begin_elsewhere(&self, straightened: &[Followed]) -> bool {
-        let better = self.recorded_turn().and_then(|turn| evidence::better_turn(&pairs(straightened), turn));
+    pub(super) fn turns_begin_elsewhere(&self, deskewed: &[Followed]) -> bool {
+        let better = self.recorded_turn().and_then(|turn| evidence::better_turn(&pairs(deskewed), turn));
         better.and_then(|turn| self.alike(turn)).is_some_and(|alike| alike.correlation < SAME_TIMES)
     }
 

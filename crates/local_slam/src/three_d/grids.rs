@@ -23,7 +23,7 @@ use crate::remembered_scans::RememberedScans;
 use crate::{MatchingResult, Spatial};
 
 /// Without an IMU a scan is de-skewed again with the pose it was matched at, so many times.
-const STRAIGHTENING_PASSES: u32 = 2;
+const DESKEWING_PASSES: u32 = 2;
 
 /// Local SLAM by grids.
 pub(super) struct GridEngine {
@@ -142,13 +142,12 @@ impl GridEngine {
         let mut matched = self.match_deskewed((end, &deskewed), &prediction, insertion, issues)?;
         if let Some((last_time, last_pose)) = last.filter(|_| !self.has_imu && insertion.has_submap()) {
             // How the scanner moved on the way is known only now.
-            for _ in 0..STRAIGHTENING_PASSES {
+            for _ in 0..DESKEWING_PASSES {
                 let found = matched.local_from_tracking;
                 let on_the_way =
                     |t: Time| interpolate(last_time, &last_pose, end, &found, t.clamp(last_time, end));
-                let straightened = deskew(gathered, last_time, on_the_way, &self.options);
-                matched =
-                    self.match_deskewed((end, &straightened), &found, insertion, issues).unwrap_or(matched);
+                let deskewed = deskew(gathered, last_time, on_the_way, &self.options);
+                matched = self.match_deskewed((end, &deskewed), &found, insertion, issues).unwrap_or(matched);
             }
         }
         self.extrapolator.as_mut()?.add_pose(end, matched.local_from_tracking);

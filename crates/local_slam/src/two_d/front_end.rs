@@ -21,7 +21,7 @@ use super::LocalSlamExtras;
 use super::belief::Belief;
 use super::co_moving::CoMoving;
 use super::dead_reckoning::DeadReckoning;
-use super::gather::{Accumulation, gravity_aligned, unwarp};
+use super::gather::{Accumulation, deskew_into, gravity_aligned};
 use super::guessed_way::GuessedWay;
 use super::level::LevelFilter;
 use super::start::{NEAR, Role, Velocity};
@@ -162,7 +162,7 @@ impl FrontEnd {
         results
     }
 
-    /// One synchronised set of ranges: unwarp, gather, and match when enough is together.
+    /// One synchronised set of ranges: de-skew, gather, and match when enough is together.
     fn add_synchronized(&mut self, ranges: &SynchronizedRanges) -> Option<MatchingResult<Planar>> {
         if !self.options.use_imu_data {
             let first = first_point_time(ranges);
@@ -177,8 +177,12 @@ impl FrontEnd {
             self.count(IssueKind::ScanOverlapsLast, ranges.time);
             return None;
         }
-        let last_pose =
-            unwarp(ranges, |time| extrapolator.extrapolate_pose(time), &self.options, &mut self.accumulated);
+        let last_pose = deskew_into(
+            ranges,
+            |time| extrapolator.extrapolate_pose(time),
+            &self.options,
+            &mut self.accumulated,
+        );
         self.accumulated.messages += 1;
         let wanted = u32::try_from(self.options.num_accumulated_range_data).unwrap_or(1);
         if self.accumulated.messages < wanted {

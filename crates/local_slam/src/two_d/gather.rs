@@ -1,4 +1,4 @@
-//! Range data gathered into one scan: unwarped by the predicted motion, sorted into returns and misses, gravity-aligned.
+//! Range data gathered into one scan: de-skewed by the predicted motion, sorted into returns and misses, gravity-aligned.
 
 use portolan_config::TrajectoryBuilder2dOptions;
 use portolan_geometry::{Duration, Point3f, Quaternion, Rigid2, Rigid3, Rigid3f, Time, to_f32, yaw};
@@ -31,7 +31,7 @@ impl GatheredScan {
 
 /// Puts every point where it was measured from, by the pose of the tracking frame in the local map at its own time, and sorts
 /// it into returns and misses. Returns the pose at the last point.
-pub(super) fn unwarp(
+pub(super) fn deskew_into(
     ranges: &SynchronizedRanges,
     mut local_from_tracking: impl FnMut(Time) -> Rigid3,
     options: &TrajectoryBuilder2dOptions,

@@ -7,7 +7,7 @@
 use portolan_geometry::{Quaternion, Rigid2, Rigid3, Time, embed_3d, project_2d, yaw};
 use portolan_sensor::{PointCloud, SynchronizedRanges};
 
-use super::super::gather::{Accumulation, GatheredScan, gravity_aligned, unwarp};
+use super::super::gather::{Accumulation, GatheredScan, deskew_into, gravity_aligned};
 use super::super::motion::{LONGEST_UNMEASURED, Measured, Motion};
 use super::super::scan::{Scan, with_share};
 use super::FrontEnd;
@@ -33,7 +33,7 @@ impl FrontEnd {
         let options = &self.options;
         let by = |moving: &mut dyn FnMut(Time) -> Rigid3| {
             let mut accumulated = Accumulation::default();
-            let last_pose = unwarp(ranges, moving, options, &mut accumulated);
+            let last_pose = deskew_into(ranges, moving, options, &mut accumulated);
             Some(gravity_aligned(accumulated, &last_pose, &gravity, options))
         };
         if measured == Measured::Nothing && seconds > LONGEST_UNMEASURED {
