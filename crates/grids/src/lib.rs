@@ -19,6 +19,7 @@ mod probability;
 mod ray;
 mod scan_agreement;
 mod texture;
+mod thresholds;
 mod tsdf;
 pub mod value;
 mod voxel_map;
@@ -51,6 +52,7 @@ pub use scan_agreement::{
     score_difference,
 };
 pub use texture::Texture;
+pub use thresholds::{FREE_CELL, SOLID_CELL, SOLID_VOXEL, SURFACE_CELLS};
 pub use tsdf::Tsdf2d;
 pub use voxel_map::{MAX_VOXEL_INDEX, VoxelIndex, VoxelMap};
 

@@ -120,6 +120,28 @@ impl MapLimits {
         Self::new(resolution, origin + Vector2::repeat(50.0 * resolution), 100, 100)
     }
 
+    /// Limits in which all points (metres) lie, a cell from the edge or more. Cells have an edge of `finest` metres, doubled
+    /// until there are about `max_cells` at most. None without a point.
+    ///
+    /// # Errors
+    /// If a number is not finite.
+    pub fn of_points(
+        mut points: impl Iterator<Item = Vector2>,
+        finest: f64,
+        max_cells: f64,
+    ) -> Result<Option<Self>, GridError> {
+        let Some(first) = points.next() else { return Ok(None) };
+        let (low, high) = points.fold((first, first), |(low, high), p| (low.inf(&p), high.sup(&p)));
+        let mut resolution = finest;
+        let cells = |resolution: f64| (high - low).map(|length| (length / resolution).ceil() + 2.0);
+        while cells(resolution).product() > max_cells {
+            resolution *= 2.0;
+        }
+        let max = high.map(|v| ((v / resolution).ceil() + 1.0) * resolution);
+        let count = cells(resolution).map(|c| (c + 1.0).min(f64::from(Self::MAX_SIDE)) as u32);
+        Self::new(resolution, max, count.y, count.x).map(Some)
+    }
+
     /// Edge of a cell, metres.
     pub fn resolution(&self) -> f64 {
         self.resolution

@@ -4,11 +4,8 @@ use nalgebra::Vector2;
 use portolan_geometry::{Point3f, Rigid2};
 use portolan_sensor::PointCloud;
 
-use super::{CellIndex, Grid2d, ProbabilityGrid};
+use super::{CellIndex, FREE_CELL, Grid2d, ProbabilityGrid, SOLID_CELL};
 
-/// A cell counts as solid, or as free, beyond these probabilities.
-const SOLID: f32 = 0.6;
-const FREE: f32 = 0.4;
 /// A beam passes what is solid only if it goes on for so many cells behind it: walls are thick and rough.
 const BEHIND: f64 = 4.0;
 /// And only if so many of its cells are solid: a beam along a wall touches some.
@@ -141,11 +138,11 @@ fn is_cell_at_solid(grid: &ProbabilityGrid, cell: CellIndex) -> bool {
 }
 
 fn is_solid(grid: &ProbabilityGrid, cell: CellIndex) -> bool {
-    grid.is_known(cell) && grid.probability(cell) > SOLID
+    grid.is_known(cell) && grid.probability(cell) > SOLID_CELL
 }
 
 fn is_free(grid: &ProbabilityGrid, cell: CellIndex) -> bool {
-    grid.is_known(cell) && grid.probability(cell) < FREE
+    grid.is_known(cell) && grid.probability(cell) < FREE_CELL
 }
 
 /// Compares a scan with a grid of probabilities. `points` are metres in the frame of the scanner, whose pose in
@@ -182,7 +179,7 @@ pub fn score_difference(
 pub fn mean_of_solid_cells(grid: &Grid2d) -> f32 {
     let Grid2d::Probability(grid) = grid else { return 1.0 };
     let of_code = |code: &u16| 1.0 - grid.code().decode(*code, grid.code().upper());
-    let solid = grid.cells().iter().filter(|code| **code != 0).map(of_code).filter(|p| *p > SOLID);
+    let solid = grid.cells().iter().filter(|code| **code != 0).map(of_code).filter(|p| *p > SOLID_CELL);
     let (sum, count) = solid.fold((0.0f64, 0u64), |(sum, n), p| (sum + f64::from(p), n + 1));
     if count > 0 { (sum / count as f64) as f32 } else { 1.0 }
 }

@@ -1,6 +1,6 @@
 //! What a map says of the cells in which contradictions are counted.
 
-use portolan_grids::{CellIndex, GridError, MapLimits, ProbabilityGrid};
+use portolan_grids::{CellIndex, FREE_CELL, GridError, MapLimits, ProbabilityGrid, SOLID_CELL};
 use portolan_mapping::{GraphState, Planar};
 
 use crate::changes::FRACTION;
@@ -11,9 +11,6 @@ use crate::planar_map::PlanarMap;
 
 /// Edge of the cells in which contradictions are counted, metres.
 const CELL: f64 = 0.1;
-/// Cells of the map of these probabilities are solid and free, as for the agreement of scans.
-const SOLID: f32 = 0.6;
-const FREE: f32 = 0.4;
 /// So far, metres, what is new lies from all that was solid, and beams go on behind what is gone: scans, walls and their
 /// places in the map err together by a third of it ([`KnownMap::CERTAIN_PLACE`] and the 3.5 cm of the map).
 pub(crate) const CLEARANCE: f64 = 0.25;
@@ -176,10 +173,10 @@ fn known(grid: &ProbabilityGrid, field: &LikelihoodField, limits: &MapLimits, fa
                 continue;
             }
             let probability = grid.probability(cell);
-            if probability > SOLID {
+            if probability > SOLID_CELL {
                 return Known::Solid;
             }
-            near_solid |= probability >= FREE || field.at(&grid.limits().cell_center(cell)) >= nearest;
+            near_solid |= probability >= FREE_CELL || field.at(&grid.limits().cell_center(cell)) >= nearest;
         }
         if unknown || near_solid { Known::Nothing } else { Known::Free }
     };

@@ -1,10 +1,10 @@
 //! The planes of a saved map of space.
 
 use portolan_geometry::{Point3f, to_f32};
+use portolan_grids::SOLID_VOXEL;
 use portolan_lidar_odometry::PlaneMap;
 use portolan_mapping::{GraphState, Node, Spatial};
 
-use crate::occupancy::SOLID;
 use crate::submap_cells::SubmapCells;
 
 /// Adds the solid cells of a submap to planes, if its nodes keep no points. Otherwise its cells say nothing more of planes, and
@@ -17,7 +17,7 @@ pub(crate) fn add_cells(planes: &mut PlaneMap, submap: &SubmapCells, state: &Gra
     let mut nodes = submap.entry.node_ids.iter().filter_map(|node| state.nodes.get(node));
     let seen_from = nodes.next().map(|node| node.map_from_tracking.translation.vector.cast::<f32>());
     let origin = seen_from.map_or(submap.origin, Point3f::from);
-    let solid = submap.cells.iter().filter(|(_, probability)| *probability > SOLID);
+    let solid = submap.cells.iter().filter(|(_, probability)| *probability > SOLID_VOXEL);
     planes.insert_all(solid.map(|(place, _)| *place), &origin);
 }
 

@@ -4,12 +4,10 @@
 //! that a search may take steps of several cells.
 
 use portolan_geometry::{Rigid2, Vector2};
-use portolan_grids::{CellIndex, MapLimits, ProbabilityGrid};
+use portolan_grids::{CellIndex, MapLimits, ProbabilityGrid, SOLID_CELL};
 
 use crate::known_map::Window;
 
-/// Cells of this probability are solid.
-const SOLID: f32 = 0.6;
 /// Standard deviation of the distance of a return from what it hit, metres: what makes steps of a search find it.
 const SIGMA: f64 = 0.12;
 /// Farther than so many standard deviations away a byte is 0.
@@ -121,7 +119,7 @@ fn squared_distances(grid: &ProbabilityGrid) -> Vec<f32> {
     let mut distances = vec![f32::INFINITY; columns * rows];
     for (i, distance) in distances.iter_mut().enumerate() {
         let cell = CellIndex::new((i % columns) as i32, (i / columns) as i32);
-        if grid.is_known(cell) && grid.probability(cell) > SOLID {
+        if grid.is_known(cell) && grid.probability(cell) > SOLID_CELL {
             *distance = 0.0;
         }
     }

@@ -1,7 +1,7 @@
 //! What of space is solid and what is free, over a whole map.
 
 use portolan_geometry::{Point3f, to_f32};
-use portolan_grids::{GridError, MAX_VOXEL_INDEX, VoxelIndex, VoxelLattice};
+use portolan_grids::{GridError, MAX_VOXEL_INDEX, SOLID_VOXEL, VoxelIndex, VoxelLattice};
 use portolan_mapping::{GraphState, Spatial};
 
 use crate::submap_cells::SubmapCells;
@@ -9,8 +9,6 @@ use crate::voxel_states::{VoxelState, VoxelStates};
 
 /// Edge of a cell, metres.
 pub(crate) const CELL: f32 = 0.2;
-/// Cells of submaps of this probability are solid.
-pub(crate) const SOLID: f32 = 0.55;
 /// Cells of submaps of less than this are free, if nothing solid is near: what was there is gone.
 const GONE: f32 = 0.12;
 /// Beams of nodes show free space to this range, and end so far in front of what they hit, metres: floors are met at
@@ -50,7 +48,7 @@ impl OccupancyBuilder {
         for (place, probability) in &submap.cells {
             if *probability < GONE {
                 self.faded.push(*place);
-            } else if *probability > SOLID
+            } else if *probability > SOLID_VOXEL
                 && let Some(cell) = lattice.cell(place)
             {
                 cells.learn(cell, VoxelState::Solid);

@@ -1,7 +1,7 @@
 //! A saved map of the plane as one grid, and what finds scans in it.
 
 use portolan_geometry::{Rigid2, Vector2, project_2d};
-use portolan_grids::{CellBox, CellIndex, Grid2d, GridError, MapLimits, ProbabilityGrid};
+use portolan_grids::{CellBox, CellIndex, Grid2d, GridError, MapLimits, ProbabilityGrid, SURFACE_CELLS};
 use portolan_mapping::{GraphState, Planar, SubmapEntry};
 use portolan_matching::PlaceIndex2d;
 
@@ -16,8 +16,6 @@ const MAX_CELLS: f64 = (1 << 25) as f64;
 const COARSE: f64 = 0.2;
 /// Evidence of a cell beyond this adds nothing: a probability of 0.9.
 const CERTAIN: f32 = 2.197_224_6;
-/// In a distance field a surface fills cells nearer than this many cells.
-const SURFACE: f32 = 0.75;
 /// What a distance field says of a cell that is not a surface, as log odds.
 const FREE_IN_DISTANCE_FIELD: f32 = -1.0;
 
@@ -194,25 +192,15 @@ fn log_odds(grid: &Grid2d, cell: CellIndex) -> f32 {
     let cost = grid.correspondence_cost(cell);
     match grid {
         Grid2d::Probability(_) => ((1.0 - cost) / cost.max(1e-3)).max(1e-3).ln(),
-        Grid2d::Tsdf(_) if cost.abs() < SURFACE * grid.limits().resolution() as f32 => CERTAIN,
+        Grid2d::Tsdf(_) if cost.abs() < SURFACE_CELLS * grid.limits().resolution() as f32 => CERTAIN,
         Grid2d::Tsdf(_) => FREE_IN_DISTANCE_FIELD,
     }
 }
 
 /// A grid in which all submaps lie; none without any.
 fn limits(placed: &[Placed]) -> Result<Option<MapLimits>, GridError> {
-    let corners = || placed.iter().flat_map(Placed::corners);
-    let Some(first) = corners().next() else { return Ok(None) };
-    let (low, high) = corners().fold((first, first), |(low, high), p| (low.inf(&p), high.sup(&p)));
     let finest = placed.iter().map(|p| p.grid.limits().resolution()).fold(f64::INFINITY, f64::min);
-    let mut resolution = finest;
-    let cells = |resolution: f64| (high - low).map(|length| (length / resolution).ceil() + 2.0);
-    while cells(resolution).product() > MAX_CELLS {
-        resolution *= 2.0;
-    }
-    let max = high.map(|v| ((v / resolution).ceil() + 1.0) * resolution);
-    let count = cells(resolution).map(|c| (c + 1.0).min(f64::from(MapLimits::MAX_SIDE)) as u32);
-    MapLimits::new(resolution, max, count.y, count.x).map(Some)
+    MapLimits::of_points(placed.iter().flat_map(Placed::corners), finest, MAX_CELLS)
 }
 
 /// Adds up what all submaps say of each cell.

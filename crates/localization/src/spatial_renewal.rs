@@ -8,12 +8,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use portolan_geometry::{Point3f, to_f32};
+use portolan_grids::SOLID_VOXEL;
 use portolan_mapping::{
     PoseGraph, Replacement, Spatial, SubmapEntry, SubmapId, TrajectoryId, VoxelFate, of_trajectory,
 };
 
 use crate::changes::{ChangeCounter, ChangeKind};
-use crate::occupancy::SOLID;
 use crate::renewal::{Renewal, discovering};
 use crate::spatial_map::SpatialMap;
 use crate::voxel_changes::{ChangedVoxels, KeptSweep, VoxelChanges};
@@ -99,7 +99,7 @@ fn unknown(
         let mut cells = BTreeSet::new();
         grid.for_each_cell(|cell, _| {
             let point = map_from_submap * grid.cell_center(cell);
-            let is_new = grid.probability(cell) > SOLID && !before.occupancy.is_free(&point);
+            let is_new = grid.probability(cell) > SOLID_VOXEL && !before.occupancy.is_free(&point);
             cells.extend(Some(cell_at(&point)).filter(|cell| is_new && !known.contains(cell)));
         });
         Some((id, cells))

@@ -2,7 +2,7 @@
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
 use portolan_geometry::{Point3f, Quaternion, Rigid3, Vector2, is_valid_pose};
-use portolan_grids::ScanAgreement;
+use portolan_grids::{SOLID_VOXEL, ScanAgreement};
 use portolan_local_slam::{LocalSlam3d, LocalSlam3dSettings, Spatial};
 use portolan_matching::{
     FastCorrelativeMatcher3d, GradientMatcher3d, NodeToFind, SubmapToSearch, judge_placement_3d,
@@ -18,9 +18,6 @@ use crate::{
     Constraint, MapperError, MatchAcceptance, MatchedPose, Nearby, NodeData, PlaceFinder, SearchRegion,
     Space, SubmapInMap,
 };
-
-/// Cells of this probability are solid.
-const SOLID: f32 = 0.55;
 
 /// What finds nodes in one finished submap.
 pub struct SpatialMatcher {
@@ -191,7 +188,7 @@ pub(crate) fn solid_cells(submap: &Submap3d) -> Vec<Point3f> {
     let grid = &submap.high_resolution_grid;
     let mut centers = Vec::new();
     grid.for_each_cell(|cell, _| {
-        if grid.probability(cell) > SOLID {
+        if grid.probability(cell) > SOLID_VOXEL {
             centers.push(grid.cell_center(cell));
         }
     });

@@ -2,13 +2,10 @@
 
 use portolan_geometry::{Rigid2, Vector2};
 
-use portolan_grids::{CellBox, CellIndex, Grid2d, GridError, MapLimits};
+use portolan_grids::{
+    CellBox, CellIndex, FREE_CELL, Grid2d, GridError, MapLimits, SOLID_CELL, SURFACE_CELLS,
+};
 
-/// Cells are solid, or free, beyond these probabilities.
-const SOLID: f32 = 0.6;
-const FREE: f32 = 0.4;
-/// In a distance field a surface fills cells nearer than this many cells.
-const SURFACE: f32 = 0.75;
 /// The most cells: 800 m by 800 m in cells of 20 cm; the pyramids over them take some 400 MB. Larger maps get larger cells.
 const MAX_CELLS: f64 = (1 << 24) as f64;
 
@@ -37,7 +34,8 @@ impl PlaceGrid {
     /// # Errors
     /// If the map is absurdly wide.
     pub fn new(grids: &[(&Grid2d, Rigid2)], cell: f64) -> Result<Option<Self>, GridError> {
-        let Some(limits) = limits_of(grids, cell)? else { return Ok(None) };
+        let corners = grids.iter().flat_map(|(grid, map_from_grid)| corners(grid, map_from_grid));
+        let Some(limits) = MapLimits::of_points(corners, cell, MAX_CELLS)? else { return Ok(None) };
         let count = limits.num_cells();
         let mut place_grid =
             Self { limits, cells: vec![Known::Nothing; count], has_free: vec![false; count] };
@@ -82,27 +80,12 @@ fn known(grid: &Grid2d, cell: CellIndex) -> Known {
     }
     let cost = grid.correspondence_cost(cell);
     match grid {
-        Grid2d::Probability(_) if 1.0 - cost > SOLID => Known::Solid,
-        Grid2d::Probability(_) if 1.0 - cost < FREE => Known::Free,
+        Grid2d::Probability(_) if 1.0 - cost > SOLID_CELL => Known::Solid,
+        Grid2d::Probability(_) if 1.0 - cost < FREE_CELL => Known::Free,
         Grid2d::Probability(_) => Known::Nothing,
-        Grid2d::Tsdf(_) if cost.abs() < SURFACE * grid.limits().resolution() as f32 => Known::Solid,
+        Grid2d::Tsdf(_) if cost.abs() < SURFACE_CELLS * grid.limits().resolution() as f32 => Known::Solid,
         Grid2d::Tsdf(_) => Known::Free,
     }
-}
-
-/// Limits in which the known cells of all grids lie.
-fn limits_of(grids: &[(&Grid2d, Rigid2)], cell: f64) -> Result<Option<MapLimits>, GridError> {
-    let corners = || grids.iter().flat_map(|(grid, map_from_grid)| corners(grid, map_from_grid));
-    let Some(first) = corners().next() else { return Ok(None) };
-    let (low, high) = corners().fold((first, first), |(low, high), p| (low.inf(&p), high.sup(&p)));
-    let mut resolution = cell;
-    let cells = |resolution: f64| (high - low).map(|length| (length / resolution).ceil() + 2.0);
-    while cells(resolution).product() > MAX_CELLS {
-        resolution *= 2.0;
-    }
-    let max = high.map(|v| ((v / resolution).ceil() + 1.0) * resolution);
-    let count = cells(resolution).map(|c| (c + 1.0).min(f64::from(MapLimits::MAX_SIDE)) as u32);
-    MapLimits::new(resolution, max, count.y, count.x).map(Some)
 }
 
 /// Corners of the known part of a grid, in the map.
