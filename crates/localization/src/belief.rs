@@ -73,7 +73,7 @@ impl Freedom {
 
 /// Where a scan was taken, and how well that is known.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Belief {
+pub(crate) struct PoseEstimate {
     /// `map_from_scan`.
     pub pose: Rigid3,
     covariance: Matrix6,
@@ -83,7 +83,7 @@ pub(crate) struct Belief {
     fresh: f64,
 }
 
-impl Belief {
+impl PoseEstimate {
     /// A pose in a map with such errors, with standard deviations in metres and radians.
     pub fn new(pose: Rigid3, freedom: Freedom, map_error: MapError, (metres, radians): (f64, f64)) -> Self {
         let diagonal = freedom.variances(metres * metres, radians * radians);
@@ -171,7 +171,7 @@ mod tests {
     #[test]
     fn a_corridor_tells_nothing_along_it() {
         for freedom in [Freedom::Plane, Freedom::Space] {
-            let mut belief = Belief::new(Rigid3::identity(), freedom, MapError::USUAL, (0.2, 0.02));
+            let mut belief = PoseEstimate::new(Rigid3::identity(), freedom, MapError::USUAL, (0.2, 0.02));
             let across = Matrix6::from_diagonal(&Vector6::new(0.0, 1e4, 1e4, 1e5, 1e5, 1e5));
             for _ in 0..100 {
                 belief.predict(&along(0.5), 0.5);
@@ -189,7 +189,7 @@ mod tests {
 
     #[test]
     fn standing_scans_do_not_add_up() {
-        let mut belief = Belief::new(Rigid3::identity(), Freedom::Plane, MapError::USUAL, (1.0, 0.1));
+        let mut belief = PoseEstimate::new(Rigid3::identity(), Freedom::Plane, MapError::USUAL, (1.0, 0.1));
         let information = Matrix6::from_diagonal(&Vector6::new(1e3, 1e3, 0.0, 0.0, 0.0, 1e3));
         belief.update(&along(0.1), &information);
         let once = belief.sigmas().0;
@@ -202,7 +202,7 @@ mod tests {
 
     #[test]
     fn what_cannot_vary_in_the_plane_never_does() {
-        let mut belief = Belief::new(Rigid3::identity(), Freedom::Plane, MapError::USUAL, (0.2, 0.02));
+        let mut belief = PoseEstimate::new(Rigid3::identity(), Freedom::Plane, MapError::USUAL, (0.2, 0.02));
         for _ in 0..10_000 {
             belief.predict(&Rigid3::translation(1.0, 0.5, 0.0), 0.1);
             let information = Matrix6::from_diagonal(&Vector6::new(1e4, 1e4, 0.0, 0.0, 0.0, 1e5));

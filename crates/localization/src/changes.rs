@@ -74,9 +74,9 @@ impl Change {
     }
 }
 
-/// What scans said of a cell.
+/// When and from where scans contradicted a cell.
 #[derive(Clone, Copy, Debug)]
-struct Witness {
+struct CellSightings {
     first: Time,
     last: Time,
     from: Vector2,
@@ -90,14 +90,14 @@ pub struct ChangeGrid {
     hits: Counts,
     passes: Counts,
     /// Of cells that were contradicted.
-    witnesses: BTreeMap<usize, Witness>,
+    sightings: BTreeMap<usize, CellSightings>,
 }
 
 impl ChangeGrid {
     /// Nothing has contradicted the map.
     pub(crate) fn new(map: KnownCells) -> Self {
         let cells = map.limits.num_cells();
-        Self { map, hits: Counts::new(cells), passes: Counts::new(cells), witnesses: BTreeMap::new() }
+        Self { map, hits: Counts::new(cells), passes: Counts::new(cells), sightings: BTreeMap::new() }
     }
 
     /// All cells of these regions.
@@ -111,24 +111,28 @@ impl ChangeGrid {
     /// Regions that are large enough to be told.
     fn changed_regions(&self, kind: ChangeKind) -> Vec<Region> {
         let changed = |cell: &usize| self.changed(*cell) == Some(kind);
-        let cells: BTreeSet<usize> = self.witnesses.keys().copied().filter(changed).collect();
+        let cells: BTreeSet<usize> = self.sightings.keys().copied().filter(changed).collect();
         let edge = self.map.limits.resolution();
         let mut regions = regions(&cells, self.map.limits.num_x_cells() as usize);
         regions.retain(|region| region.cells.len() as f64 * edge * edge >= LEAST_AREA);
         regions
     }
 
-    fn witness(&mut self, cell: usize, scan: &PlacedScan) {
-        let new =
-            Witness { first: scan.time, last: scan.time, from: scan.origin.xy(), is_seen_from_two: false };
-        let witness = self.witnesses.entry(cell).or_insert(new);
-        witness.last = scan.time;
-        witness.is_seen_from_two |= (scan.origin.xy() - witness.from).norm() >= VIEWPOINTS;
+    fn note_sighting(&mut self, cell: usize, scan: &PlacedScan) {
+        let new = CellSightings {
+            first: scan.time,
+            last: scan.time,
+            from: scan.origin.xy(),
+            is_seen_from_two: false,
+        };
+        let sightings = self.sightings.entry(cell).or_insert(new);
+        sightings.last = scan.time;
+        sightings.is_seen_from_two |= (scan.origin.xy() - sightings.from).norm() >= VIEWPOINTS;
     }
 
     /// What has become of a cell.
     fn changed(&self, cell: usize) -> Option<ChangeKind> {
-        let witness = self.witnesses.get(&cell)?;
+        let sightings = self.sightings.get(&cell)?;
         let (hits, passes) = (self.hits.of(cell), self.passes.of(cell));
         let (kind, for_it) = match self.map.at(cell) {
             Known::Free => (ChangeKind::Appeared, hits),
@@ -137,7 +141,7 @@ impl ChangeGrid {
         };
         let all = f64::from(hits) + f64::from(passes);
         let is_clear = for_it >= u32::from(SCANS) && f64::from(for_it) >= FRACTION * all;
-        (is_clear && witness.is_seen_from_two).then_some(kind)
+        (is_clear && sightings.is_seen_from_two).then_some(kind)
     }
 
     fn change(&self, kind: ChangeKind, region: &Region) -> Change {
@@ -146,7 +150,7 @@ impl ChangeGrid {
         // Columns run against y, rows against x: a mirror image.
         let corner = |[x, y]: &[i64; 2]| [max.x - *y as f64 * edge, max.y - *x as f64 * edge];
         let rings = region.rings.iter().map(|ring| ring.iter().rev().map(corner).collect()).collect();
-        let seen = region.cells.iter().filter_map(|cell| self.witnesses.get(cell));
+        let seen = region.cells.iter().filter_map(|cell| self.sightings.get(cell));
         let (first, last) = (seen.clone().map(|w| w.first).min(), seen.map(|w| w.last).max());
         let count = |cell: &usize| match kind {
             ChangeKind::Appeared => self.hits.of(*cell),
@@ -186,7 +190,7 @@ impl ChangeCounter for ChangeGrid {
             self.passes.count(*cell);
         }
         for cell in new.into_iter().chain(gone) {
-            self.witness(cell, scan);
+            self.note_sighting(cell, scan);
         }
     }
 

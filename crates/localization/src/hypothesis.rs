@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use portolan_geometry::Rigid3;
 use portolan_grids::ScanAgreement;
 
-use crate::belief::Belief;
+use crate::belief::PoseEstimate;
 use crate::known_map::{KnownMap, ON_THE_WAY, ScanMatch, Window};
 use crate::recent::{KEPT, RecentScans};
 
@@ -29,7 +29,7 @@ pub(crate) fn fit(agreement: &ScanAgreement) -> f64 {
 /// A place where the scanner may be.
 #[derive(Clone, Debug)]
 pub(crate) struct Hypothesis {
-    pub belief: Belief,
+    pub belief: PoseEstimate,
     /// What the map says to the newest scan that was matched.
     pub agreement: ScanAgreement,
     /// What it says to the recent scans, and where they were found, oldest first.
@@ -56,7 +56,7 @@ impl Hypothesis {
             (place, after) = (here.pose, kept);
         }
         let found: ScanMatch = found?;
-        let belief = Belief::new(found.pose, M::FREEDOM, map.error(), PROPOSED);
+        let belief = PoseEstimate::new(found.pose, M::FREEDOM, map.error(), PROPOSED);
         Some(Self { belief, agreement: found.agreement, fits })
     }
 
@@ -156,7 +156,8 @@ impl Hypothesis {
 pub(crate) fn test_place(x: f64, fits: &[f32]) -> Hypothesis {
     let agreement = |fit: &f32| ScanAgreement { explained: *fit, ..ScanAgreement::default() };
     let pose = Rigid3::translation(x, 0.0, 0.0);
-    let belief = Belief::new(pose, crate::belief::Freedom::Plane, crate::belief::MapError::USUAL, PROPOSED);
+    let belief =
+        PoseEstimate::new(pose, crate::belief::Freedom::Plane, crate::belief::MapError::USUAL, PROPOSED);
     Hypothesis {
         belief,
         agreement: fits.last().map(agreement).unwrap_or_default(),

@@ -144,11 +144,12 @@ struct Voxel {
     hits: u16,
     passes: u16,
     /// Of what contradicts the map.
-    seen: Option<Witness>,
+    seen: Option<VoxelSightings>,
 }
 
+/// When and from where scans contradicted a voxel.
 #[derive(Clone, Copy, Debug)]
-struct Witness {
+struct VoxelSightings {
     first: Time,
     last: Time,
     from: Vector3,
@@ -160,8 +161,9 @@ impl Voxel {
         Self { kind, hits: 0, passes: 0, seen: None }
     }
 
-    fn witness(&mut self, scan: &PlacedScan) {
-        let new = Witness { first: scan.time, last: scan.time, from: scan.origin, is_seen_from_two: false };
+    fn note_sighting(&mut self, scan: &PlacedScan) {
+        let new =
+            VoxelSightings { first: scan.time, last: scan.time, from: scan.origin, is_seen_from_two: false };
         let seen = self.seen.get_or_insert(new);
         seen.last = scan.time;
         seen.is_seen_from_two |= (scan.origin - seen.from).norm() >= VIEWPOINTS;
@@ -259,7 +261,7 @@ impl VoxelChanges {
         for cell in ends.iter().filter(|cell| map.is_open(*cell)) {
             let voxel = self.voxels.entry(cell).or_insert(Voxel::new(ChangeKind::Appeared));
             voxel.hits = voxel.hits.saturating_add(1);
-            voxel.witness(scan);
+            voxel.note_sighting(scan);
         }
         // A point near a cell that was solid is of what was there.
         let beside = ends.with_two_around();
@@ -317,7 +319,7 @@ impl ChangeCounter for VoxelChanges {
             let voxel = self.voxels.entry(cell).or_insert(Voxel::new(kind));
             voxel.passes = voxel.passes.saturating_add(1);
             if kind == ChangeKind::Gone {
-                voxel.witness(scan);
+                voxel.note_sighting(scan);
             }
         }
     }
