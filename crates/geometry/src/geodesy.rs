@@ -4,6 +4,9 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::{Quaternion, Rigid3, rotation_from_roll_pitch_yaw};
 
+/// Standard gravity, m/s²: the unit g.
+pub const STANDARD_GRAVITY: f64 = 9.806_65;
+
 /// Equatorial radius of the ellipsoid, metres.
 const EQUATOR: f64 = 6_378_137.0;
 const FLATTENING: f64 = 1.0 / 298.257_223_563;

@@ -11,7 +11,7 @@ mod transform;
 
 pub use buffer::{TransformBuffer, interpolate};
 pub use dimension::Dimension;
-pub use geodesy::{EastNorthUp, GeodeticPosition, Trigonometry};
+pub use geodesy::{EastNorthUp, GeodeticPosition, STANDARD_GRAVITY, Trigonometry};
 pub use nalgebra;
 pub use near_frame::{FARTHEST_COORDINATE, NearFrame, is_on_earth, moved};
 pub use rigid2::{Rigid2, normalize_angle};

@@ -1,7 +1,7 @@
 //! IMU packets of Ouster's sensors: one sample in units of gravity and degrees (`LEGACY`), or several in SI units
 //! (`ACCEL32_GYRO32_NMEA`).
 
-use portolan_geometry::Time;
+use portolan_geometry::{STANDARD_GRAVITY, Time};
 
 use crate::bytes::{f32_at, u16_at, u64_at};
 use crate::ouster::sensor_time;
@@ -18,7 +18,6 @@ const SENTENCE_BYTES: usize = 100;
 /// No packet has more samples: a revolution has 64. Packets of lidars with `LEGACY` layouts, which begin with any byte, are
 /// longer or no whole number of samples.
 const MAX_SAMPLES: usize = 128;
-const STANDARD_GRAVITY: f64 = 9.80665;
 
 /// What a packet has of one sample.
 struct RawSample {

@@ -14,6 +14,9 @@ use portolan_geometry::{
 };
 use portolan_sensor::ImuData;
 
+/// Gravity before it is estimated, m/s²: that of middle latitudes; 9.78 to 9.83 on Earth.
+pub const USUAL_GRAVITY: f64 = 9.81;
+
 const SIZE: usize = 18;
 
 type Covariance = na::SMatrix<f64, SIZE, SIZE>;
@@ -364,7 +367,7 @@ fn worst_sigma(covariance: &Matrix3) -> f64 {
 mod tests {
     use super::*;
 
-    const GRAVITY: f64 = 9.81;
+    const GRAVITY: f64 = USUAL_GRAVITY;
     const SILENT: InertialNoise = InertialNoise {
         turn: 0.0,
         turn_scale: 0.0,

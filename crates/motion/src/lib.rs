@@ -22,7 +22,7 @@ pub use gravity_initialisation::{Beginning, GravityInitialisation, WaitingSweeps
 pub use imu_buffer::ImuBuffer;
 pub use imu_integration::{ImuMotion, integrate_imu, velocity_change};
 pub use imu_tracker::ImuTracker;
-pub use inertial_estimate::{InertialEntry, InertialEstimate, InertialNoise, Preintegrated};
+pub use inertial_estimate::{InertialEntry, InertialEstimate, InertialNoise, Preintegrated, USUAL_GRAVITY};
 pub use interpolation::{fixed_frame_at, odometry_at};
 pub use motion_filter::MotionFilter;
 pub use pose_extrapolator::{ExtrapolatorCounts, ExtrapolatorError, ImuBasedSettings, PoseExtrapolator};

@@ -70,6 +70,7 @@ pub struct ImuState {
 }
 
 impl Default for ImuState {
+    /// Gravity as Cartographer begins with it, other than `portolan_motion::USUAL_GRAVITY` because results have to be the same.
     fn default() -> Self {
         Self { gravity_constant: 9.8, calibration: Quaternion::identity() }
     }

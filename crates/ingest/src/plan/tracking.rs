@@ -2,7 +2,7 @@
 
 use std::cmp::Reverse;
 
-use portolan_geometry::{Dimension, Quaternion, Vector3};
+use portolan_geometry::{Dimension, Quaternion, STANDARD_GRAVITY, Vector3};
 use portolan_issue::Severity;
 use portolan_sensor::SensorKind;
 
@@ -14,8 +14,6 @@ use crate::statistics::ImuStatistics;
 use crate::survey::Inventory;
 use crate::tf::frame_name;
 
-/// Standard gravity, m/s².
-const GRAVITY: f64 = 9.80665;
 /// Half of the accelerations of an IMU that measures gravity are within these, m/s².
 const PLAUSIBLE_GRAVITY: std::ops::Range<f64> = 8.0..12.0;
 /// Nothing that is mapped turns fast for longer than this fraction of the time: such samples are in degrees.
@@ -109,7 +107,7 @@ fn scale(statistics: &ImuStatistics) -> ImuScale {
     let in_g = (0.8..1.2).contains(&statistics.median_acceleration);
     let in_degrees = statistics.fast_share > MOST_FAST;
     ImuScale {
-        acceleration: if in_g { GRAVITY } else { 1.0 },
+        acceleration: if in_g { STANDARD_GRAVITY } else { 1.0 },
         angular_velocity: if in_degrees { 1f64.to_radians() } else { 1.0 },
     }
 }
@@ -254,7 +252,10 @@ pub(super) fn connect_imu(
         return Ok(());
     }
     if scale.acceleration != 1.0 {
-        plan.note(format!("{topic} measures accelerations in g; they are multiplied by {GRAVITY}"), "");
+        plan.note(
+            format!("{topic} measures accelerations in g; they are multiplied by {STANDARD_GRAVITY}"),
+            "",
+        );
     }
     if scale.angular_velocity != 1.0 {
         plan.note_degrees(&topic);

@@ -7,12 +7,12 @@
 use portolan_geometry::nalgebra::{Matrix3, Vector3 as Vector};
 use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3, quaternion_from_angle_axis};
 use portolan_lidar_odometry::OdometrySettings;
-use portolan_motion::{ImuBuffer, InertialEntry, InertialEstimate, InertialNoise, Preintegrated};
+use portolan_motion::{
+    ImuBuffer, InertialEntry, InertialEstimate, InertialNoise, Preintegrated, USUAL_GRAVITY,
+};
 use portolan_numeric::CovarianceMatching;
 use portolan_sensor::ImuData;
 
-/// Gravity, m/s²: that of middle latitudes; what it differs by passes for a bias of the accelerometer.
-const GRAVITY: f64 = 9.81;
 /// Standard deviation of the lean that the mean of the first accelerations shows, radians: a platform that speeds up by 1 m/s².
 const FIRST_LEAN: f64 = 0.1;
 /// Standard deviation of a velocity that nothing tells, m/s: walkers, wheels.
@@ -96,7 +96,7 @@ impl LevelFilter {
         let up = up.try_normalize(1e-9).unwrap_or_else(Vector3::z);
         ImuData {
             time: data.time,
-            linear_acceleration: up * GRAVITY,
+            linear_acceleration: up * USUAL_GRAVITY,
             angular_velocity: data.angular_velocity - bias,
         }
     }
@@ -109,7 +109,7 @@ impl LevelFilter {
         let at_scan = match &self.phase {
             Phase::Averaging { .. } => {
                 let sigmas = [PLACE, FIRST_LEAN, UNKNOWN_VELOCITY];
-                InertialEstimate::in_level_map(local_from_tracking, sigmas, GRAVITY, &self.errors)
+                InertialEstimate::in_level_map(local_from_tracking, sigmas, USUAL_GRAVITY, &self.errors)
             }
             Phase::Filtering { at_scan, time: before, .. } => {
                 let mut estimate = (**at_scan).clone();
@@ -195,7 +195,7 @@ mod tests {
 
     fn sample(t: f64, bias: &Vector3) -> ImuData {
         let Rigid3 { rotation, translation } = pose(t);
-        let force = Vector3::z() * GRAVITY - translation.vector * 0.49;
+        let force = Vector3::z() * USUAL_GRAVITY - translation.vector * 0.49;
         ImuData {
             time: at(t),
             linear_acceleration: rotation.inverse() * force,

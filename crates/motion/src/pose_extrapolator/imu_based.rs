@@ -16,7 +16,7 @@ use portolan_solver::{
 use crate::imu_integration::{integrate_imu, velocity_change};
 use crate::interpolation::odometry_at;
 
-/// Gravity before it is estimated, m/s².
+/// Gravity before it is estimated, m/s²: Cartographer's, other than [`crate::USUAL_GRAVITY`] because results have to be the same.
 const GRAVITY_AT_START: f64 = 9.8;
 /// Times nearer to the newest pose than this are its own, seconds.
 const SAME_TIME: f64 = 1e-6;
