@@ -14,7 +14,7 @@ use crate::settings::LossSettings;
 
 /// What is believed of the pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) enum Belief {
+pub(crate) enum PoseBelief {
     /// Sweeps fit the map.
     #[default]
     Sure,
@@ -64,35 +64,37 @@ pub(crate) struct FitMonitor {
     recent: VecDeque<SweepFit>,
     /// Which of the last sweeps were guesses.
     guesses: VecDeque<bool>,
-    belief: Belief,
+    belief: PoseBelief,
 }
 
 impl FitMonitor {
     pub fn new(settings: &LossSettings) -> Self {
         let (recent, guesses) = (VecDeque::new(), VecDeque::new());
-        Self { settings: settings.clone(), recent, guesses, belief: Belief::Sure }
+        Self { settings: settings.clone(), recent, guesses, belief: PoseBelief::Sure }
     }
 
     /// What is believed after one more sweep. A map that is warming up fits whatever it was made of: nothing is usual yet.
-    pub fn after(&mut self, end: Time, support: Support, is_warming_up: bool) -> Belief {
+    pub fn after(&mut self, end: Time, support: Support, is_warming_up: bool) -> PoseBelief {
         let is_chance = self.is_chance(&support);
         if is_warming_up && !is_chance {
-            self.belief = Belief::Sure;
+            self.belief = PoseBelief::Sure;
             return self.belief;
         }
         let settings = &self.settings;
         let contradicts = is_chance || self.is_poor(&support.fit);
         self.belief = match (contradicts, self.belief) {
-            (false, _) => Belief::Sure,
-            (true, Belief::Doubtful { since, sweeps })
+            (false, _) => PoseBelief::Sure,
+            (true, PoseBelief::Doubtful { since, sweeps })
                 if 2 * (sweeps + 1) >= settings.sweeps && end.seconds_since(since) >= settings.seconds =>
             {
-                Belief::Lost { since }
+                PoseBelief::Lost { since }
             }
-            (true, Belief::Doubtful { since, sweeps }) => Belief::Doubtful { since, sweeps: sweeps + 1 },
-            (true, _) => Belief::Doubtful { since: end, sweeps: 1 },
+            (true, PoseBelief::Doubtful { since, sweeps }) => {
+                PoseBelief::Doubtful { since, sweeps: sweeps + 1 }
+            }
+            (true, _) => PoseBelief::Doubtful { since: end, sweeps: 1 },
         };
-        if self.belief == Belief::Sure {
+        if self.belief == PoseBelief::Sure {
             self.recent.push_back(support.fit);
             if self.recent.len() > 2 * settings.sweeps {
                 self.recent.pop_front();
@@ -134,7 +136,7 @@ mod tests {
     use super::*;
 
     /// What is believed after sweeps that fit so well, ten a second.
-    fn believed(fits: &[(f64, f64)]) -> Vec<Belief> {
+    fn believed(fits: &[(f64, f64)]) -> Vec<PoseBelief> {
         let mut monitor = FitMonitor::new(&LossSettings::default());
         let at = |i: usize| Time::from_ticks(0) + Duration::from_seconds(0.1 * i as f64);
         let fit = |&(fit, rms): &(f64, f64)| SweepFit { fit, rms: (rms > 0.0).then_some(rms) };
@@ -146,17 +148,17 @@ mod tests {
     fn a_second_of_sweeps_of_another_place_is_a_loss() {
         for elsewhere in [(0.08, 0.13), (0.0, 0.0)] {
             let beliefs = believed(&[&[(0.4, 0.065); 20][..], &[elsewhere; 12]].concat());
-            assert!(beliefs[..20].iter().all(|b| *b == Belief::Sure), "{beliefs:?}");
+            assert!(beliefs[..20].iter().all(|b| *b == PoseBelief::Sure), "{beliefs:?}");
             let since = Time::from_ticks(20_000_000);
-            assert_eq!(beliefs[20], Belief::Doubtful { since, sweeps: 1 });
-            assert_eq!(beliefs[29], Belief::Doubtful { since, sweeps: 10 });
-            assert_eq!(beliefs[30], Belief::Lost { since });
+            assert_eq!(beliefs[20], PoseBelief::Doubtful { since, sweeps: 1 });
+            assert_eq!(beliefs[29], PoseBelief::Doubtful { since, sweeps: 10 });
+            assert_eq!(beliefs[30], PoseBelief::Lost { since });
         }
     }
 
     #[test]
     fn a_door_a_single_sweep_and_open_country_are_none() {
-        let sure = |fits: &[(f64, f64)]| believed(fits).iter().all(|b| *b == Belief::Sure);
+        let sure = |fits: &[(f64, f64)]| believed(fits).iter().all(|b| *b == PoseBelief::Sure);
         // A new room: few points on planes, but they lie there.
         assert!(sure(&[&[(0.5, 0.03); 20][..], &[(0.15, 0.04); 30]].concat()));
         // Among trees hardly anything is flat.
@@ -164,23 +166,24 @@ mod tests {
         // At the beginning nothing is usual.
         assert!(sure(&[&[(0.5, 0.03); 5][..], &[(0.05, 0.13); 30]].concat()[..7]));
         let beliefs = believed(&[&[(0.4, 0.065); 20][..], &[(0.05, 0.13); 9], &[(0.4, 0.065); 2]].concat());
-        assert!(beliefs.iter().all(|b| !matches!(b, Belief::Lost { .. })));
-        assert_eq!(beliefs[29..], [Belief::Sure; 2]);
+        assert!(beliefs.iter().all(|b| !matches!(b, PoseBelief::Lost { .. })));
+        assert_eq!(beliefs[29..], [PoseBelief::Sure; 2]);
     }
 
     #[test]
     fn where_nothing_tells_the_motion_for_a_second_it_is_lost() {
-        let beliefs = |is_measured: bool, is_warming_up: bool, fits_at: fn(usize) -> bool| -> Vec<Belief> {
-            let mut monitor = FitMonitor::new(&LossSettings::default());
-            let at = |i: usize| Time::from_ticks(0) + Duration::from_seconds(0.1 * i as f64);
-            let support = |i| {
-                let fits = fits_at(i);
-                let fit = SweepFit { fit: if fits { 0.1 } else { 0.0 }, rms: fits.then_some(0.1) };
-                Support { fit, is_measured }
+        let beliefs =
+            |is_measured: bool, is_warming_up: bool, fits_at: fn(usize) -> bool| -> Vec<PoseBelief> {
+                let mut monitor = FitMonitor::new(&LossSettings::default());
+                let at = |i: usize| Time::from_ticks(0) + Duration::from_seconds(0.1 * i as f64);
+                let support = |i| {
+                    let fits = fits_at(i);
+                    let fit = SweepFit { fit: if fits { 0.1 } else { 0.0 }, rms: fits.then_some(0.1) };
+                    Support { fit, is_measured }
+                };
+                (0..60).map(|i| monitor.after(at(i), support(i), is_warming_up)).collect()
             };
-            (0..60).map(|i| monitor.after(at(i), support(i), is_warming_up)).collect()
-        };
-        let is_lost = |beliefs: &[Belief]| beliefs.iter().any(|b| matches!(b, Belief::Lost { .. }));
+        let is_lost = |beliefs: &[PoseBelief]| beliefs.iter().any(|b| matches!(b, PoseBelief::Lost { .. }));
         for is_warming_up in [false, true] {
             assert!(is_lost(&beliefs(false, is_warming_up, |_| false)));
             // Now and then one fits, by chance.

@@ -10,10 +10,11 @@ use portolan_geometry::{
 };
 
 use crate::hypotheses::{self, Other};
-use crate::initialise::{FirstSweeps, RotationAt, Start, VELOCITY_INTERVAL};
+use crate::initialise::{FirstSweeps, RotationAt, Start};
 use crate::issues::Issues;
 use crate::segment::{MotionSource, TrajectorySegment};
 use crate::settings::OdometrySettings;
+use crate::settings::constants::initialise::VELOCITY_INTERVAL;
 use crate::sweep::Sweep;
 use crate::tracker::{RegisteredSweep, Tracker};
 

@@ -11,23 +11,16 @@ use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Quaternion, Rigid3, Time, Vector3, rotation_between};
 use portolan_motion::{
     DegenerateDirections, ImuBuffer, InertialEntry, InertialEstimate, InertialNoise, Preintegrated,
+    USUAL_GRAVITY,
 };
 use portolan_numeric::CovarianceMatching;
 use portolan_sensor::ImuData;
 
 use crate::segment::TrajectorySegment;
+use crate::settings::constants::inertial::{
+    COMPARED_SWEEPS, MAX_ACCELERATION, MAX_NOISE_FACTOR, UNKNOWN_SIGMA,
+};
 use crate::settings::{ImuSettings, InertialSettings, MotionPriorSettings, OdometrySettings};
-
-/// Gravity before it is estimated, m/s²: that of middle latitudes; 9.78 to 9.83 on Earth.
-const GRAVITY: f64 = 9.81;
-/// Standard deviation of what nothing measures: metres along degenerate directions, radians about them.
-const UNKNOWN: f64 = 30.0;
-/// An acceleration beyond this, m/s², is more than platforms do, and than most accelerometers measure: it is wrong.
-const MAX_ACCELERATION: f64 = 200.0;
-/// The noise of accelerations is learned from about so many sweeps.
-const COMPARED_SWEEPS: f64 = 20.0;
-/// Beyond this an accelerometer tells nothing.
-const MAX_NOISE_FACTOR: f64 = 1e6;
 
 /// A trajectory segment that the IMU predicts.
 #[derive(Clone, Debug)]
@@ -119,13 +112,13 @@ impl InertialFilter {
         let force = match start.force_at_rest {
             Some(strength) => (up * strength, self.resting_error),
             // A platform that speeds up while accelerations are averaged seems to lean.
-            None => (up * GRAVITY, self.prior.acceleration),
+            None => (up * USUAL_GRAVITY, self.prior.acceleration),
         };
         if !self.measures_gravity() {
             self.noise.distrust();
         }
         let rotation = start.local_from_tracking.rotation;
-        self.estimate = Some(InertialEstimate::first(rotation, force, GRAVITY, &self.errors));
+        self.estimate = Some(InertialEstimate::first(rotation, force, USUAL_GRAVITY, &self.errors));
         self.begin_anew(time, start);
     }
 
@@ -133,7 +126,7 @@ impl InertialFilter {
     fn measures_gravity(&self) -> bool {
         let samples = self.samples.all();
         let sum: f64 = samples.iter().map(|sample| sample.linear_acceleration.norm()).sum();
-        (sum / samples.len().max(1) as f64 - GRAVITY).abs() < 0.5 * GRAVITY
+        (sum / samples.len().max(1) as f64 - USUAL_GRAVITY).abs() < 0.5 * USUAL_GRAVITY
     }
 
     /// Begins anew at the end of a sweep, after what it did not follow. Biases and gravity remain.
@@ -231,7 +224,7 @@ impl InertialFilter {
         let expected = estimate.covariance_of(InertialEntry::Rotation) + error;
         let is_possible = squared_mahalanobis(&innovation, &expected) < self.outlier_sigmas.powi(2);
         if !measured.gyroscope_holds || !is_possible {
-            estimate.forget(InertialEntry::Rotation, UNKNOWN);
+            estimate.forget(InertialEntry::Rotation, UNKNOWN_SIGMA);
         } else if !measured.tells_rotation {
             return;
         }
@@ -272,7 +265,7 @@ fn square(sigma: f64) -> na::Matrix3<f64> {
 
 /// What was measured with a covariance, but not along some directions.
 fn with_unknown(known: na::Matrix3<f64>, degenerate: &[Vector3]) -> na::Matrix3<f64> {
-    degenerate.iter().fold(known, |sum, d| sum + d * d.transpose() * (UNKNOWN * UNKNOWN))
+    degenerate.iter().fold(known, |sum, d| sum + d * d.transpose() * (UNKNOWN_SIGMA * UNKNOWN_SIGMA))
 }
 
 fn squared_mahalanobis(error: &Vector3, covariance: &na::Matrix3<f64>) -> f64 {

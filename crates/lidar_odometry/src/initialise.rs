@@ -12,32 +12,15 @@ use portolan_sensor::voxel_filter_points;
 use crate::correlation::{CorrelationReference, Peak, Window, upright};
 use crate::deskew::PiecewiseLinearTrajectory;
 use crate::plane_map::PlaneMap;
-use crate::registration::{PosePrior, Registration, Sigmas};
+use crate::registration::{PosePrior, Registration};
 use crate::segment::{SegmentCorrection, TrajectorySegment};
 use crate::settings::OdometrySettings;
+use crate::settings::constants::initialise::{
+    COARSE, ITERATIONS, LEVEL_TILT, PROMISING_FRACTION, UNPREDICTED_FACTOR,
+};
 use crate::sweep::Sweep;
 use crate::vertical::vertical_from_planes;
 use crate::witness::is_horizontal;
-
-/// Motions that fit by less than this share of what hypotheses need, as sweeps came, are not followed: de-skewing changes
-/// how well sweeps fit by a fifth (docs/experiments/2026-11-cpu-time.md).
-const PROMISING: f64 = 0.75;
-
-/// The first velocity, and the sweeps that it de-skews, are found in so many iterations; more change nothing.
-const ITERATIONS: u32 = 4;
-
-/// A start needs so many times more points on planes than other sweeps: nothing predicts it.
-const UNPREDICTED: f64 = 2.0;
-
-/// A tracking frame that leans by less, radians, is as good as level: posts of 3 m stay within a column of voxels. The vertical
-/// that a single sweep tells is not sure, either.
-const LEANS: f64 = 0.13;
-
-/// How far off what was found coarsely may be: hardly a prior.
-pub(crate) const COARSE: Sigmas = Sigmas { translation: 1.0, rotation: 0.1 };
-
-/// Seconds between the two poses that tell an extrapolator the first velocity: less than a sweep.
-pub(crate) const VELOCITY_INTERVAL: f64 = 0.05;
 
 /// The rotation at a time, from the tracking frame to a gravity-aligned one.
 pub(crate) type RotationAt<'a> = dyn Fn(Time) -> Quaternion + 'a;
@@ -218,7 +201,8 @@ impl<'a> FirstSweeps<'a> {
             }
         }
         let best = found.iter().map(|relative| relative.fit).fold(0.0, f64::max);
-        found.retain(|relative| relative.fit >= PROMISING * self.settings.loss.poor_fit_ratio * best);
+        found
+            .retain(|relative| relative.fit >= PROMISING_FRACTION * self.settings.loss.poor_fit_ratio * best);
         found
     }
 
@@ -331,7 +315,7 @@ impl<'a> FirstSweeps<'a> {
         let found = registration.register_scan(planes, points, initial, &prior, scale)?;
         // A single sparse sweep among trees shows few planes, but they constrain translation if not rotation, too.
         let constrains_translation = self.rotation_at.is_some() && found.degenerate.translations.is_empty();
-        let least = UNPREDICTED * self.settings.registration.min_matched_fraction;
+        let least = UNPREDICTED_FACTOR * self.settings.registration.min_matched_fraction;
         let is_enough = found.matched_fraction >= least || constrains_translation;
         let fit = found.evidence(self.settings.final_scale());
         let open = &found.degenerate.translations;
@@ -342,7 +326,7 @@ impl<'a> FirstSweeps<'a> {
 
 /// Whether the tracking frame leans so much that what stands upright has to be looked for in a level one.
 fn leans(local_from_tracking: &Quaternion) -> bool {
-    (local_from_tracking * Vector3::z()).z < LEANS.cos()
+    (local_from_tracking * Vector3::z()).z < LEVEL_TILT.cos()
 }
 
 fn planes_of(points: &[Point3f], settings: &OdometrySettings) -> PlaneMap {

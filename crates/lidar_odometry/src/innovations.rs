@@ -8,17 +8,9 @@
 use portolan_numeric::CovarianceMatching;
 
 use crate::segment::SegmentCorrection;
-
-/// About so many sweeps are remembered.
-const MEMORY: f64 = 20.0;
-/// Innovations are those of the ends of segments; as much is allowed for within one, and so many times more.
-const MARGIN: f64 = 2.0;
-/// What was learned counts for no less than this fraction of what predictions may usually be off by.
-pub(crate) const LEAST: f64 = 0.03;
-
-/// Rotations of registered sweeps are off by about so much, radians (standard deviation), and so is where the next segment starts. A
-/// gyroscope measures from sweep to sweep as well or better (docs/experiments/2026-11-gyroscope-prior.md).
-pub(crate) const REGISTERED: f64 = 5e-4;
+use crate::settings::constants::innovations::{
+    LEAST_FRACTION, MARGIN_FACTOR, MEMORY_SWEEPS, REGISTERED_SIGMA,
+};
 
 /// What innovations of rotation say of priors.
 #[derive(Clone, Copy, Debug)]
@@ -29,22 +21,22 @@ pub(crate) struct Innovations {
 
 impl Default for Innovations {
     fn default() -> Self {
-        let as_assumed = MARGIN.powi(-2);
+        let as_assumed = MARGIN_FACTOR.powi(-2);
         let measured =
-            CovarianceMatching::new(MEMORY).starting_at(as_assumed).within(as_assumed, f64::INFINITY);
-        Self { constant: CovarianceMatching::new(MEMORY), measured }
+            CovarianceMatching::new(MEMORY_SWEEPS).starting_at(as_assumed).within(as_assumed, f64::INFINITY);
+        Self { constant: CovarianceMatching::new(MEMORY_SWEEPS), measured }
     }
 }
 
 impl Innovations {
     /// By what fraction the standard deviation of the prior of constant rotation is to be multiplied.
     pub fn of_constant(&self) -> f64 {
-        (MARGIN * self.constant.sigma_factor()).clamp(LEAST, 1.0)
+        (MARGIN_FACTOR * self.constant.sigma_factor()).clamp(LEAST_FRACTION, 1.0)
     }
 
     /// How many times as far off a gyroscope's rotations may be as it should be.
     pub fn of_measured(&self) -> f64 {
-        MARGIN * self.measured.sigma_factor()
+        MARGIN_FACTOR * self.measured.sigma_factor()
     }
 
     /// Takes what registration added to a rotation that nothing measured, with the prior's standard deviation, radians.
@@ -54,7 +46,7 @@ impl Innovations {
 
     /// Takes what registration added to a rotation that a gyroscope measured, which should be off by so much, radians.
     pub fn add_measured(&mut self, correction: &SegmentCorrection, sigma: f64) {
-        self.measured.add(squared(correction, sigma.hypot(REGISTERED)));
+        self.measured.add(squared(correction, sigma.hypot(REGISTERED_SIGMA)));
     }
 }
 
@@ -81,7 +73,7 @@ mod tests {
         assert_eq!(innovations.of_constant(), 1.0);
         (0..200).for_each(|_| innovations.add_constant(&correction(0.002), 0.05));
         let smooth = innovations.of_constant();
-        assert!((smooth - MARGIN * 0.002 / 0.05 / 3f64.sqrt()).abs() < 0.002, "{smooth}");
+        assert!((smooth - MARGIN_FACTOR * 0.002 / 0.05 / 3f64.sqrt()).abs() < 0.002, "{smooth}");
         let sweeps = (0..40).take_while(|_| {
             innovations.add_constant(&correction(0.05), 0.05);
             innovations.of_constant() < 0.5
@@ -106,6 +98,6 @@ mod tests {
         (0..200).for_each(|_| {
             innovations.add_constant(&SegmentCorrection { start: -growth, growth }, 0.05);
         });
-        assert_eq!(innovations.of_constant(), LEAST);
+        assert_eq!(innovations.of_constant(), LEAST_FRACTION);
     }
 }

@@ -4,11 +4,7 @@ use portolan_geometry::{Rigid3, Time};
 use portolan_motion::MotionFilter;
 
 use crate::settings::KeyframeSettings;
-
-/// The interval is doubled so often when it comes to rest, and once more with each key frame there.
-const DOUBLINGS_AT_REST: i32 = 2;
-/// No more often than this, so that what changes around a standing scanner is mapped.
-const MOST_DOUBLINGS: i32 = 5;
+use crate::settings::constants::keyframes::{DOUBLINGS_AT_REST, MOST_DOUBLINGS};
 
 /// What is known of a sweep when it is decided.
 #[derive(Clone, Copy, Debug)]

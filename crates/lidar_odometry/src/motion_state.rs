@@ -8,11 +8,11 @@ use portolan_sensor::{ImuData, OdometryData};
 
 use crate::gap::{GapMotion, Velocities};
 use crate::inertial::{InertialFilter, InertialPrediction, InertialStart, PoseMeasurement};
-use crate::initialise::VELOCITY_INTERVAL;
 use crate::issues::Issue;
 use crate::odometry_prior::{MeasuredPlace, OdometryPrediction, OdometryPrior};
 use crate::predict::{self, Alternative, Prediction, Reason};
 use crate::segment::{MotionSource, TrajectorySegment};
+use crate::settings::constants::initialise::VELOCITY_INTERVAL;
 use crate::settings::{HypothesisSettings, OdometrySettings};
 
 /// Follows the motion.

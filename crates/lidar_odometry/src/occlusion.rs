@@ -7,7 +7,7 @@
 use portolan_geometry::Time;
 use portolan_sensor::{UsualReach, log_reach};
 
-use crate::belief::Belief;
+use crate::belief::PoseBelief;
 use crate::issues::Issues;
 use crate::settings::LossSettings;
 use crate::sweep::Sweep;
@@ -39,5 +39,5 @@ impl Occlusion {
 
 fn contradicts_map(sweep: &Sweep, tracker: &Tracker) -> bool {
     let registered = tracker.fork().register(None, sweep.clone(), None, &mut Issues::default());
-    registered.belief != Belief::Sure
+    registered.belief != PoseBelief::Sure
 }

@@ -10,7 +10,7 @@ use portolan_recall::Memory;
 use portolan_sensor::{ImuData, OdometryData};
 use thiserror::Error;
 
-use crate::belief::Belief;
+use crate::belief::PoseBelief;
 use crate::gap::{self, NextSweep};
 use crate::issues::{Issue, Issues};
 use crate::local_map::GrowingMap;
@@ -144,14 +144,14 @@ impl LidarOdometry {
 
     fn judge(&mut self, mut registered: RegisteredSweep) {
         match registered.belief {
-            Belief::Sure => {
+            PoseBelief::Sure => {
                 self.recent.fitted(&registered);
                 registered.begun = self.begun.take();
                 self.ready.extend(self.recent.release());
                 self.ready.push_back(registered);
             }
-            Belief::Doubtful { .. } => self.recent.hold(registered),
-            Belief::Lost { since } => {
+            PoseBelief::Doubtful { .. } => self.recent.hold(registered),
+            PoseBelief::Lost { since } => {
                 let end = registered.sweep.end;
                 self.recent.hold(registered);
                 if self.attempts.is_time_for_another(end, &self.settings.loss) {

@@ -9,11 +9,7 @@ use portolan_geometry::Point3f;
 
 use crate::plane_map::{Plane, Unreliable};
 use crate::settings::PlaneFitSettings;
-
-/// Fewer hits make no plane. (The table of counts at which planes are fitted is made at compile time.)
-const MIN_COUNT: u16 = 6;
-/// More hits change nothing: what a place looks like is known by then.
-pub(super) const MAX_COUNT: u16 = 400;
+use crate::settings::constants::plane_map::{MAX_HITS, MIN_HITS};
 
 /// Moments of the hits in a voxel and the normal of their plane: all that most hits need, in one line of the cache.
 #[derive(Clone, Copy, Debug)]
@@ -46,9 +42,9 @@ pub(super) struct PlaneFit {
 }
 
 /// Whether so many hits are fitted: a third more than last time.
-const IS_FITTED: [bool; MAX_COUNT as usize + 1] = {
-    let mut is_fitted = [false; MAX_COUNT as usize + 1];
-    let mut count = MIN_COUNT as usize;
+const IS_FITTED: [bool; MAX_HITS as usize + 1] = {
+    let mut is_fitted = [false; MAX_HITS as usize + 1];
+    let mut count = MIN_HITS as usize;
     while count < is_fitted.len() {
         is_fitted[count] = true;
         count += count / 3;
@@ -84,7 +80,7 @@ impl PlaneCell {
     /// Whether no hit changes it any more.
     #[inline]
     pub fn is_full(&self) -> bool {
-        self.count >= MAX_COUNT
+        self.count >= MAX_HITS
     }
 
     /// Whether it is known to be a plane, so that smaller voxels need not know more.

@@ -8,12 +8,10 @@ mod look_up;
 use nalgebra as na;
 use portolan_geometry::Point3f;
 
-use crate::plane_fit::{MAX_COUNT, PlaneCell, PlaneFit};
+use crate::plane_fit::{PlaneCell, PlaneFit};
 use crate::settings::PlaneFitSettings;
+use crate::settings::constants::plane_map::{MAX_HITS, VOXEL_OFFSET};
 use crate::voxel_tree::{LEVELS, SMALLEST_IN_ALL, SMALLEST_IN_LARGEST, Smallest, VoxelTree};
-
-/// Voxels do not begin at the origin, because floors and first walls like to lie at round distances.
-const OFFSET: f32 = 0.37;
 
 /// A planar patch.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -161,7 +159,7 @@ impl PlaneMap {
     /// A place in smallest voxels from the corner of all of them.
     #[inline]
     fn scaled(&self, place: &Point3f) -> na::Vector3<f32> {
-        let to_corner = OFFSET * SMALLEST_IN_LARGEST + 0.5 * SMALLEST_IN_ALL;
+        let to_corner = VOXEL_OFFSET * SMALLEST_IN_LARGEST + 0.5 * SMALLEST_IN_ALL;
         place.coords * self.smallest_per_metre + na::Vector3::repeat(to_corner)
     }
 
@@ -185,7 +183,7 @@ impl PlaneMap {
                 *count = self.cells.get(*number).map_or(0, |cell| cell.count);
             }
             let mut known = [None; BATCH];
-            for k in (0..num_open).filter(|k| counts[*k] >= MAX_COUNT) {
+            for k in (0..num_open).filter(|k| counts[*k] >= MAX_HITS) {
                 known[k] = Some(self.goes_past(numbers[k], &hits[usize::from(open[k].hit)]));
             }
             let mut still_open = 0;

@@ -13,6 +13,7 @@ use portolan_sensor::{TimedPoint, voxel_filter_indices};
 
 use crate::deskew::PiecewiseLinearTrajectory;
 use crate::settings::PoleSettings;
+use crate::settings::constants::poles::{ELONGATED_RATIO, STEEPEST_GROUND_TANGENT};
 use cells::Cells;
 
 mod cells;
@@ -25,12 +26,6 @@ mod tests;
 pub use map::PoleMap;
 pub(crate) use recent::{PolesToRegister, RecentPoles, SeenPoles};
 pub(crate) use residuals::PoleResiduals;
-
-/// Ground as steep as this, 30°, is not taken for what stands on it.
-const STEEPEST_GROUND: f32 = 0.577;
-
-/// Points of a wall spread so many times farther along it than across it: as those of planes.
-const ELONGATED: f32 = 3.0;
 
 impl PoleSettings {
     /// Standard deviation of a pair, metres.
@@ -94,7 +89,7 @@ fn above_others(all: &[(TimedPoint, Point3f)], settings: &PoleSettings) -> Vec<(
     let column_of: Vec<usize> = all.iter().map(|(_, place)| count(place)).collect();
     let stands = |place: &Point3f, column: usize| {
         let [lowest, highest] = columns.value(column);
-        highest - lowest > settings.column && place.z > lowest + STEEPEST_GROUND * settings.column
+        highest - lowest > settings.column && place.z > lowest + STEEPEST_GROUND_TANGENT * settings.column
     };
     let standing = all.iter().zip(column_of).filter(|((_, place), column)| stands(place, *column));
     standing.map(|(point, _)| *point).collect()
@@ -132,8 +127,8 @@ impl WallDirections {
         let [long_variance, narrow_variance] = [long, narrow].map(|i| eigen.eigenvalues[i]);
         // Half as much as a wall through all of the neighbourhood.
         let length = 0.5 * (3.0 * settings.neighbourhood) / 12_f32.sqrt();
-        let is_wall =
-            long_variance > length * length && narrow_variance * ELONGATED * ELONGATED < long_variance;
+        let is_wall = long_variance > length * length
+            && narrow_variance * ELONGATED_RATIO * ELONGATED_RATIO < long_variance;
         is_wall.then(|| eigen.eigenvectors.column(long).into_owned())
     }
 }

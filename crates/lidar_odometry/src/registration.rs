@@ -12,6 +12,9 @@ use crate::deskew::PiecewiseLinearTrajectory;
 use crate::plane_map::{PlaneMap, Unreliable};
 use crate::poles::{PoleMap, PolePoint, PoleResiduals};
 use crate::segment::{SegmentCorrection, TrajectorySegment};
+use crate::settings::constants::registration::{
+    ARM_SAMPLE_POINTS, HOPELESS_FRACTION, MAX_ITERATIONS, MIN_PAIRS, PARTS_PER_SWEEP,
+};
 use crate::settings::{PlaneFitSettings, RegistrationSettings};
 use attenuation::Attenuation;
 use degeneracy::degenerate_directions;
@@ -27,16 +30,6 @@ mod solve;
 #[cfg(test)]
 mod tests;
 
-/// The points of a sweep are summed up in so many parts, within which the growth of the correction is constant.
-const PARTS: f64 = 8.0;
-/// Every so many points tell how far points are from the scanner.
-const ARM_SAMPLE: usize = 4;
-/// With this part of the least fraction of matched points there is no hope, once the loss has its final scale.
-const HOPELESS: f64 = 0.6;
-/// Iterations at most: fewer than half as many are needed.
-const MAX_ITERATIONS: u32 = 20;
-/// Fewer points on planes, three for each unknown, constrain nothing.
-const MIN_PAIRS: usize = 18;
 /// A scan that took no time has no growing correction.
 const RIGID: Sigmas = Sigmas { translation: 1e-6, rotation: 1e-6 };
 
@@ -269,7 +262,7 @@ impl Registration {
         let equations = NormalEquations { matched, ..all.finish() };
         // 2. Is it any use?
         let fraction = matched.points as f64 / scene.points.len() as f64;
-        let is_hopeless = fraction < HOPELESS * settings.min_matched_fraction;
+        let is_hopeless = fraction < HOPELESS_FRACTION * settings.min_matched_fraction;
         if matched.points < MIN_PAIRS || scale <= self.final_scale(scene.planes) && is_hopeless {
             return None;
         }
@@ -320,8 +313,8 @@ impl Registration {
                 let weight = robust * robust / (range_variance + plane.variance + tilt);
                 let normal_variance = least_variance + plane.normal_variance;
                 // A sample tells where points are.
-                if i.is_multiple_of(ARM_SAMPLE) {
-                    all.add_arm(&turned, weight * normal_variance * ARM_SAMPLE as f32);
+                if i.is_multiple_of(ARM_SAMPLE_POINTS) {
+                    all.add_arm(&turned, weight * normal_variance * ARM_SAMPLE_POINTS as f32);
                 }
                 let spurious_variance = uneven * least_variance + plane.normal_variance;
                 let (n, lever) = (&plane.normal, turned.cross(&plane.normal));
@@ -368,9 +361,11 @@ pub(crate) struct Part {
 /// Splits points in order of time.
 pub(crate) fn parts_of<T>(points: &[T], time: impl Fn(&T) -> f32, segment: &TrajectorySegment) -> Vec<Part> {
     let fraction = |p: &T| segment.fraction_at(time(p));
-    let mut parts: Vec<Part> = Vec::with_capacity(PARTS as usize);
+    let mut parts: Vec<Part> = Vec::with_capacity(PARTS_PER_SWEEP as usize);
     let mut begin = 0;
-    for chunk in points.chunk_by(|a, b| (fraction(a) * PARTS).floor() == (fraction(b) * PARTS).floor()) {
+    for chunk in points
+        .chunk_by(|a, b| (fraction(a) * PARTS_PER_SWEEP).floor() == (fraction(b) * PARTS_PER_SWEEP).floor())
+    {
         let middle = chunk.iter().map(fraction).sum::<f64>() / chunk.len() as f64;
         let growth_fractions = segment.growth_fractions(middle);
         parts.push(Part { points: begin..begin + chunk.len(), growth_fractions });

@@ -6,11 +6,7 @@ use portolan_geometry::{
 };
 
 use crate::deskew::PiecewiseLinearTrajectory;
-
-/// Seconds between the poses of a segment; between them motion is linear. At 10 m/s² what this leaves out is 5 µm.
-const SPACING: f64 = 0.002;
-/// A segment has at most so many poses, which bounds memory; those of a longer one lie farther apart.
-const MAX_POSES: usize = 512;
+use crate::settings::constants::segment::{MAX_POSES, POSE_SPACING};
 
 /// Predicted poses of the tracking frame in that of a map, evenly spaced in time from the end of the sweep before to the
 /// end of a sweep.
@@ -73,7 +69,7 @@ impl TrajectorySegment {
     /// As `pose_at` predicts it from `start` to `end`; constant velocity unless the fields are set.
     pub fn new(start: Time, end: Time, mut pose_at: impl FnMut(Time) -> Rigid3) -> Self {
         let seconds = end.seconds_since(start).max(0.0);
-        let pieces = ((seconds / SPACING).ceil() as usize).clamp(1, MAX_POSES);
+        let pieces = ((seconds / POSE_SPACING).ceil() as usize).clamp(1, MAX_POSES);
         let spacing = seconds / pieces as f64;
         let time = |i: usize| match i == pieces {
             true => end,

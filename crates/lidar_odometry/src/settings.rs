@@ -1,8 +1,9 @@
 //! Every number of the front end that could be another: its unit, range, origin and effect.
 //!
 //! Each entry of the tables in this folder becomes a field with documentation and a default, and a row of
-//! [`OdometrySettings::entries`], by which ranges are checked and tables of sensitivity can be made. Sizes of blocks, layouts of keys,
-//! the spacing of poses, and constants of single models (of likelihoods, histograms and covariances) stand where they are used.
+//! [`OdometrySettings::entries`], by which ranges are checked and tables of sensitivity can be made. Constants of
+//! single models (of likelihoods, filters and iterations) are in `constants.rs`. Sizes of blocks, layouts of keys and bounds of
+//! memory stand where they are used.
 //!
 //! The origins are honest: *derived* follows from a sensor or from geometry, a name is a source, *tuned* was found on
 //! simulated walks and has no better reason yet.
@@ -68,6 +69,7 @@ macro_rules! settings {
     };
 }
 
+pub(crate) mod constants;
 mod for_motion;
 mod map;
 mod motion;

@@ -20,26 +20,11 @@ use portolan_numeric::probabilities;
 
 use crate::correlation::{Columns, CorrelationReference};
 use crate::settings::CorrelationSettings;
+use crate::settings::constants::shift_likelihood::{
+    CHANCE_REACH, FARTHEST_IN_TWO, LEAST_CHANCE, MET_AGAIN_PROBABILITY, MOVING_PROBABILITY, OBJECT_EDGE,
+    REACH_SIGMAS, STEPS_PER_CELL, TOLD_VARIANCE_FRACTION,
+};
 use crate::sight::Sight;
-
-/// How likely what stands is met again where it stands: so much of what stands upright is, in drives.
-const MET_AGAIN: f64 = 0.8;
-/// How likely something is met by chance is what fraction of shifts so much smaller or larger, metres, meet it.
-const AROUND: f64 = 2.0;
-/// Chance is never better known than this.
-const LEAST_CHANCE: f64 = 0.05;
-/// What stands in a square of this edge, metres, is taken for one object: about a car.
-const OBJECT: f64 = 4.0;
-/// Probability that an object moves, or is another one than before: then it may be met at any shift.
-const MOVES: f64 = 0.1;
-/// Where less than this part of the variance remains that was known before, a shift is told.
-const TOLD: f64 = 0.5;
-/// Shifts and motions are tried up to so many standard deviations.
-pub(crate) const REACH: f64 = 3.0;
-/// Shifts along one and along two directions are tried in steps of this fraction of a cell.
-const STEPS: [f64; 2] = [0.25, 0.5];
-/// Along two directions it is looked no farther, metres: the number of shifts grows with the square.
-const FARTHEST_IN_TWO: f64 = 3.0;
 
 /// Where upright points may lie, by what is met again and by what was known before.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -70,7 +55,7 @@ struct Upright {
 impl CorrelationSettings {
     /// Standard deviation of a shift of which nothing is known, metres.
     pub fn unknown(&self) -> f64 {
-        self.farthest / REACH
+        self.farthest / REACH_SIGMAS
     }
 
     /// Systematic error of shifts, metres: things are seen from another side, for many sweeps.
@@ -81,7 +66,7 @@ impl CorrelationSettings {
     /// Whether likelihoods tell a shift whose standard deviation was `before` and is `now`, metres: clearly better than before, and to
     /// within a cell.
     pub fn is_told(&self, before: f64, now: f64) -> bool {
-        now * now <= TOLD * before * before && now <= f64::from(self.cell)
+        now * now <= TOLD_VARIANCE_FRACTION * before * before && now <= f64::from(self.cell)
     }
 
     /// The factor by which a shift is shrunk for its systematic error (James and Stein, "Estimation with quadratic loss", 1961).
@@ -132,7 +117,7 @@ impl CorrelationReference<'_> {
         let count = shifts.tried().count();
         let mut objects: BTreeMap<[i32; 2], Vec<f64>> = BTreeMap::new();
         for column in self.upright_columns(upright) {
-            let object = [column.place.x, column.place.y].map(|v| (v / OBJECT).floor() as i32);
+            let object = [column.place.x, column.place.y].map(|v| (v / OBJECT_EDGE).floor() as i32);
             let logs = objects.entry(object).or_insert_with(|| vec![0.0; count]);
             shifts.add_to(logs, &column, self.columns(), &sight, self.settings());
         }
@@ -141,7 +126,7 @@ impl CorrelationReference<'_> {
             let best = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
             for (all, log) in all.iter_mut().zip(logs) {
                 let as_it_is = ((log - best) / points_per_independent_one).exp();
-                *all += (MOVES + (1.0 - MOVES) * as_it_is).ln();
+                *all += (MOVING_PROBABILITY + (1.0 - MOVING_PROBABILITY) * as_it_is).ln();
             }
         }
         (!objects.is_empty()).then_some(all)
@@ -174,11 +159,11 @@ impl<'a> Shifts<'a> {
         sigma: f64,
         settings: &CorrelationSettings,
     ) -> Option<Self> {
-        let step = STEPS.get(directions.len().checked_sub(1)?)? * f64::from(settings.cell);
+        let step = STEPS_PER_CELL.get(directions.len().checked_sub(1)?)? * f64::from(settings.cell);
         let farthest = settings.farthest;
         let farthest = if directions.len() == 1 { farthest } else { farthest.min(FARTHEST_IN_TWO) };
-        let reach = ((REACH * sigma).min(farthest) / step).ceil() as i32;
-        Some(Self { directions, step, reach, around: (AROUND / step).ceil() as i32 })
+        let reach = ((REACH_SIGMAS * sigma).min(farthest) / step).ceil() as i32;
+        Some(Self { directions, step, reach, around: (CHANCE_REACH / step).ceil() as i32 })
     }
 
     /// All that are tried, to so many steps on each side: row by row if there are two directions.
@@ -228,7 +213,7 @@ impl<'a> Shifts<'a> {
                 continue;
             };
             let chance = (sum / known).clamp(LEAST_CHANCE, 1.0 - LEAST_CHANCE);
-            let met_again = MET_AGAIN.max(chance);
+            let met_again = MET_AGAIN_PROBABILITY.max(chance);
             *log += bits
                 * (met * (met_again / chance).ln() + (1.0 - met) * ((1.0 - met_again) / (1.0 - chance)).ln());
         }

@@ -5,11 +5,7 @@ use portolan_geometry::nalgebra as na;
 
 use crate::correlation::Columns;
 use crate::settings::CorrelationSettings;
-
-/// Directions of sight are told apart by this part of a turn.
-const SECTORS: usize = 72;
-/// Nearer by, metres, a column spans too many elevations.
-const STEEP: f64 = 3.0;
+use crate::settings::constants::sight::{NEAREST_FOR_ELEVATIONS, SECTORS};
 
 /// What sweeps can have seen from where they were taken: how far in each direction, and how high and low. The rest is not known.
 pub(crate) struct Sight {
@@ -30,7 +26,7 @@ impl Sight {
             if let Some(farthest) = sight.farthest.get_mut(sector) {
                 *farthest = farthest.max(range);
             }
-            if range > STEEP {
+            if range > NEAREST_FOR_ELEVATIONS {
                 let [low, high] = [mask.trailing_zeros(), 63 - mask.leading_zeros()];
                 let tangent = |layer: u32| (settings.height_of(layer) - sight.from.z) / range;
                 (sight.lowest, sight.highest) =

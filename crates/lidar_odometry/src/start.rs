@@ -5,18 +5,16 @@ use portolan_geometry::{Duration, Vector3, to_f32};
 use portolan_recall::Memory;
 use portolan_sensor::RangeData;
 
-use crate::belief::Belief;
+use crate::belief::PoseBelief;
 use crate::hypotheses::{self, Other};
 use crate::initialise::{FirstSweeps, RotationAt, Start};
 use crate::issues::Issues;
 use crate::motion_state::MotionState;
 use crate::settings::OdometrySettings;
+use crate::settings::constants::initialise::VELOCITY_CORRECTIONS;
 use crate::start_velocity::FirstSweepsPlaced;
 use crate::sweep::Sweep;
 use crate::tracker::{RegisteredSweep, Tracker};
-
-/// Velocities are corrected so many times: a wrong one blurs what tells it.
-const CORRECTIONS: usize = 3;
 
 /// Waiting for the first sweeps.
 #[derive(Clone, Debug)]
@@ -112,7 +110,7 @@ impl Trial<'_> {
         let others = others.iter().map(|start| Other { motion: *start, clearly_better });
         let mut best =
             hypotheses::best(first, others, |judged| judged.fit, |start, least| self.judged(start, least));
-        for _ in 0..CORRECTIONS {
+        for _ in 0..VELOCITY_CORRECTIONS {
             let Some(corrected) = self.corrected(&best) else { break };
             best = corrected;
         }
@@ -155,7 +153,7 @@ impl Trial<'_> {
     /// Whether the sweeps would be found in the same places if they were registered one by one, with another map to ask: they
     /// would where each of them fits, and none comes after a gap.
     fn is_final(&self, begun: &Begun) -> bool {
-        let fits = |sweep: &RegisteredSweep| sweep.belief == Belief::Sure && sweep.fit > 0.0;
+        let fits = |sweep: &RegisteredSweep| sweep.belief == PoseBelief::Sure && sweep.fit > 0.0;
         let gap = Duration::from_seconds(self.settings.hypotheses.long_gap);
         let ends = begun.registered.iter().map(|registered| registered.sweep.end);
         let follow_closely = ends.clone().zip(ends.skip(1)).all(|(before, end)| end - before <= gap);

@@ -11,11 +11,10 @@ use portolan_numeric::{median, probabilities};
 
 use crate::correlation::{CorrelationReference, above_others};
 use crate::settings::OdometrySettings;
-use crate::shift_likelihood::{REACH, Shifts};
+use crate::settings::constants::initialise::ACCELERATION_STEPS;
+use crate::settings::constants::shift_likelihood::REACH_SIGMAS;
+use crate::shift_likelihood::Shifts;
 use crate::tracker::RegisteredSweep;
-
-/// Accelerations are tried in so many steps to each side.
-const STEPS: i32 = 6;
 
 /// The first sweeps where they are believed to have been taken.
 pub(crate) struct FirstSweepsPlaced<'a> {
@@ -80,7 +79,7 @@ impl<'a> FirstSweepsPlaced<'a> {
         let seconds = self.sweeps.last().map(|last| last.seconds).filter(|seconds| *seconds > 0.0)?;
         let sigmas = Motion {
             velocity: correlation.unknown() / seconds,
-            acceleration: self.settings.motion_prior.acceleration / REACH,
+            acceleration: self.settings.motion_prior.acceleration / REACH_SIGMAS,
         };
         let pairs = self.pairs(direction, &sigmas);
         let motions = motions(&sigmas, 0.5 * correlation.resolution() / seconds);
@@ -148,10 +147,10 @@ impl PlacedSweep {
 
 /// All motions that are tried.
 fn motions(sigmas: &Motion, velocity_step: f64) -> Vec<Motion> {
-    let velocities = (REACH * sigmas.velocity / velocity_step).ceil() as i32;
-    let acceleration_step = REACH * sigmas.acceleration / f64::from(STEPS);
+    let velocities = (REACH_SIGMAS * sigmas.velocity / velocity_step).ceil() as i32;
+    let acceleration_step = REACH_SIGMAS * sigmas.acceleration / f64::from(ACCELERATION_STEPS);
     let with = |i: i32| {
-        (-STEPS..=STEPS).map(move |j| Motion {
+        (-ACCELERATION_STEPS..=ACCELERATION_STEPS).map(move |j| Motion {
             velocity: f64::from(i) * velocity_step,
             acceleration: f64::from(j) * acceleration_step,
         })

@@ -6,14 +6,15 @@ use portolan_sensor::{TimedPoint, voxel_filter_indices};
 
 use crate::belief::SweepFit;
 use crate::deskew::PiecewiseLinearTrajectory;
-use crate::initialise::COARSE;
-use crate::innovations::{self, Innovations};
+use crate::innovations::Innovations;
 use crate::odometry_prior::MeasuredPlace;
 use crate::plane_map::PlaneMap;
 use crate::poles::PolesToRegister;
 use crate::predict::{Reason, Registered};
 use crate::registration::{MotionPrior, Registration, RegistrationResult, Sigmas};
 use crate::segment::{MotionSource, SegmentCorrection, TrajectorySegment};
+use crate::settings::constants::initialise::COARSE;
+use crate::settings::constants::innovations;
 use crate::settings::{MotionPriorSettings, OdometrySettings, SweepSettings};
 use crate::sweep::Sweep;
 
@@ -249,9 +250,9 @@ impl SweepRegistration {
         let (prior, usual) = (&self.prior, self.usual_growth(segment));
         let (start_rotation, rotation) = match segment.gyroscope_sigma {
             Some(sigma) => {
-                let least = innovations::LEAST * usual.rotation;
+                let least = innovations::LEAST_FRACTION * usual.rotation;
                 let rotation = (sigma * self.innovations.of_measured()).clamp(least, usual.rotation);
-                let at_start = rotation.max(innovations::REGISTERED);
+                let at_start = rotation.max(innovations::REGISTERED_SIGMA);
                 (if self.start_is_measured { at_start } else { usual.rotation }, rotation)
             }
             None => (prior.start_rotation, usual.rotation * self.innovations.of_constant()),

@@ -11,10 +11,10 @@ use portolan_motion::{DegenerateInterval, DegenerateIntervals, Observability};
 use portolan_recall::{Fingerprint, Memory};
 use portolan_sensor::{PointCloud, RangeData};
 
-use crate::belief::{Belief, FitMonitor, Support};
+use crate::belief::{FitMonitor, PoseBelief, Support};
 use crate::deskew::deskewed;
 use crate::gap::{GapMotion, Velocities};
-use crate::initialise::{FirstSweeps, RotationAt, Start, VELOCITY_INTERVAL};
+use crate::initialise::{FirstSweeps, RotationAt, Start};
 use crate::issues::{Issue, Issues};
 use crate::keyframes::{Candidate, Decision, KeyframePolicy};
 use crate::local_map::LocalMap;
@@ -25,9 +25,10 @@ use crate::poles::{RecentPoles, SeenPoles};
 use crate::predict::{Prediction, Registered};
 use crate::segment::{MotionSource, TrajectorySegment};
 use crate::settings::OdometrySettings;
+use crate::settings::constants::initialise::VELOCITY_INTERVAL;
 use crate::sweep::Sweep;
 use crate::sweep_registration::SweepRegistration;
-use crate::witness::Witness;
+use crate::witness::TravelWitness;
 use finding::Found;
 
 /// A sweep that was registered.
@@ -49,7 +50,7 @@ pub struct RegisteredSweep {
     pub keyframe: Option<Keyframe>,
     /// Present where the pose was lost before this sweep, which begins a new piece of map.
     pub begun: Option<PieceBegun>,
-    pub(crate) belief: Belief,
+    pub(crate) belief: PoseBelief,
     /// How well it fits.
     pub(crate) fit: f64,
     /// As much of it as tells how it moved.
@@ -89,7 +90,7 @@ pub(crate) struct Tracker {
     registration: SweepRegistration,
     local_map: LocalMap,
     poles: RecentPoles,
-    witness: Witness,
+    witness: TravelWitness,
     keyframes: KeyframePolicy,
     intervals: DegenerateIntervals,
     fits: FitMonitor,
@@ -148,7 +149,7 @@ impl Tracker {
             registration: SweepRegistration::new(settings),
             local_map: LocalMap::new(settings, &registered.in_local, registered.local_from_gravity()),
             poles: RecentPoles::new(&settings.poles),
-            witness: Witness::new(settings),
+            witness: TravelWitness::new(settings),
             keyframes,
             intervals: settings.degenerate_intervals(),
             fits: FitMonitor::new(&settings.loss),
@@ -228,7 +229,7 @@ impl Tracker {
         let measured = self.registration.measured_place(&best, &self.local_map.older().local_from_map);
         // 7. Correct the inertial filter and the extrapolator.
         let tells_rotation =
-            best.registered.found.is_some() && belief == Belief::Sure && !self.is_warming_up();
+            best.registered.found.is_some() && belief == PoseBelief::Sure && !self.is_warming_up();
         let end = SweepEnd {
             time: sweep.end,
             local_from_tracking: &place.local_from_tracking,
@@ -252,7 +253,7 @@ impl Tracker {
             evidence: best.registered.evidence,
             ..RegisteredSweep::new(sweep, place.local_from_tracking, gravity, deskewed)
         };
-        if belief == Belief::Sure {
+        if belief == PoseBelief::Sure {
             self.show(&mut result, poles, place.is_standing, best.segment.rotation_is_measured());
         } else {
             issues.count(Issue::ContradictsMap);
@@ -402,7 +403,7 @@ impl RegisteredSweep {
             observability: Observability::default(),
             keyframe: None,
             begun: None,
-            belief: Belief::Sure,
+            belief: PoseBelief::Sure,
             fit: 0.0,
             evidence: 0.0,
         }

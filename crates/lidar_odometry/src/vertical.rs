@@ -5,15 +5,7 @@ use portolan_geometry::Vector3;
 
 use crate::plane_map::PlaneMap;
 use crate::settings::VerticalSettings;
-
-/// About so many normals are tried.
-const CANDIDATES: usize = 200;
-
-/// Fewer planes that are well known do not tell: three fix a room.
-const LEAST_PLANES: f64 = 3.0;
-
-/// A wall counts half as much as a floor: it fixes one direction of two.
-const WALL_WEIGHT: f64 = 0.5;
+use crate::settings::constants::vertical::{CANDIDATES, LEAST_PLANES, WALL_WEIGHT};
 
 /// The direction in the frame of the planes that floors and ceilings face and walls do not, near
 /// `believed` (unit vectors). None if they do not tell.

@@ -19,7 +19,7 @@ use crate::sweep::Sweep;
 
 /// What stood upright in the last sweeps, and what planes leave open.
 #[derive(Clone)]
-pub(crate) struct Witness {
+pub(crate) struct TravelWitness {
     settings: WitnessSettings,
     /// What is believed goes wrong by no more than unseen accelerations since the witness last agreed.
     prior: MotionPriorSettings,
@@ -32,7 +32,7 @@ pub(crate) struct Witness {
     seen: VecDeque<Seen>,
     asked_at: Option<Time>,
     /// When it last told where it is along all that was open.
-    told: Option<Told>,
+    told: Option<ToldPlace>,
     /// Translations that planes left open in the last sweep, in the local map, orthonormal.
     open: Vec<Vector3>,
     /// Since when horizontal ones among them are.
@@ -41,7 +41,7 @@ pub(crate) struct Witness {
 
 /// When it told where it is, and how well, metres.
 #[derive(Clone, Copy)]
-struct Told {
+struct ToldPlace {
     at: Time,
     sigma: f64,
 }
@@ -68,7 +68,7 @@ pub(crate) struct Discrepancy {
     pub power: i32,
 }
 
-impl Witness {
+impl TravelWitness {
     pub fn new(settings: &OdometrySettings) -> Self {
         let (prior, correlation) = (settings.motion_prior.clone(), settings.correlation.clone());
         let max_points = 2 * settings.sweep.wanted_points as usize;
@@ -192,7 +192,7 @@ impl Witness {
             return None;
         }
         let power = if self.has_told(now.end) { 2 } else { 1 };
-        self.told = Some(Told { at: now.end, sigma: remaining.max(self.correlation.resolution()) });
+        self.told = Some(ToldPlace { at: now.end, sigma: remaining.max(self.correlation.resolution()) });
         let shift = posterior.shift * self.correlation.shrinkage(posterior.shift.norm());
         Some(Discrepancy { shift, seconds, power })
     }
@@ -277,8 +277,8 @@ mod tests {
         way: fn(f64) -> f64,
         believed: fn(f64) -> f64,
         source: MotionSource,
-    ) -> (Witness, Option<Discrepancy>) {
-        let mut witness = Witness::new(&OdometrySettings::default());
+    ) -> (TravelWitness, Option<Discrepancy>) {
+        let mut witness = TravelWitness::new(&OdometrySettings::default());
         let pose = |x: f64| Rigid3::translation(x, 0.0, 0.0);
         for at in (0..14).map(|i| 0.1 * f64::from(i)) {
             let place = pose(believed(at));
@@ -337,7 +337,7 @@ mod tests {
     #[test]
     fn uniform_walls_do_not_tell_the_way_though_nearly_everything_is_met_again_and_posts_do() {
         let guesses_after = |has_posts: bool| {
-            let mut witness = Witness::new(&OdometrySettings::default());
+            let mut witness = TravelWitness::new(&OdometrySettings::default());
             for i in 0..30 {
                 let (at, x) = (0.1 * f64::from(i), 0.1 * i as f32);
                 let points = corridor(x, has_posts);
@@ -359,7 +359,7 @@ mod tests {
 
     #[test]
     fn where_nothing_stands_upright_the_way_is_a_guess_after_a_while() {
-        let mut witness = Witness::new(&OdometrySettings::default());
+        let mut witness = TravelWitness::new(&OdometrySettings::default());
         let guessed: Vec<bool> = (0..40)
             .map(|i| {
                 let at = time(0.1 * f64::from(i));

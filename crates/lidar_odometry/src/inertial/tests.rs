@@ -2,7 +2,7 @@ use portolan_geometry::{Duration, quaternion_from_angle_axis};
 
 use super::*;
 
-const GRAVITY: f64 = 9.81;
+const GRAVITY: f64 = USUAL_GRAVITY;
 
 fn time(seconds: f64) -> Time {
     Time::from_ticks(0) + Duration::from_seconds(seconds)

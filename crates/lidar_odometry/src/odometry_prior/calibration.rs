@@ -13,17 +13,9 @@ use portolan_numeric::CovarianceMatching;
 use super::MeasuredPlace;
 use crate::segment::TrajectorySegment;
 use crate::settings::MotionPriorSettings;
-
-/// About so many sweeps say how large the noise is, and by which factor of its variance it may be other than assumed.
-const MEMORY: f64 = 20.0;
-const NOISE: (f64, f64) = (0.01, 1e4);
-/// After so many seconds nothing is known of the calibration: a platform drives up a ramp and down again. Assumed.
-const FORGOTTEN: f64 = 100.0;
-/// A scale is told that is off by so much, and by so many standard deviations.
-const TOLD: f64 = 0.05;
-const SURE: f64 = 3.0;
-/// An innovation of more standard deviations (squared) tells nothing of the calibration.
-const OUTLIER: f64 = 9.0;
+use crate::settings::constants::odometry_calibration::{
+    FORGOTTEN_AFTER, MEMORY_SWEEPS, NOISE_FACTORS, OUTLIER_SQUARED_SIGMAS, TOLD_SCALE_ERROR, TOLD_SIGMAS,
+};
 
 /// What odometry tells of the motion since the last sweep.
 #[derive(Clone, Copy, Debug)]
@@ -52,7 +44,7 @@ impl Calibration {
             mean: Vector3::zeros(),
             variances: Vector3::repeat(settings.odometry_calibration.powi(2)),
             last_along: None,
-            noise: CovarianceMatching::new(MEMORY).within(NOISE.0, NOISE.1),
+            noise: CovarianceMatching::new(MEMORY_SWEEPS).within(NOISE_FACTORS.0, NOISE_FACTORS.1),
             settings: settings.clone(),
         }
     }
@@ -80,7 +72,7 @@ impl Calibration {
     /// How many times as far as sweeps odometry goes, where that is clearly another number than one.
     pub fn factor(&self) -> Option<f64> {
         let sigma = self.variances.x.sqrt();
-        let is_told = self.mean.x.abs() > TOLD && self.mean.x.abs() > SURE * sigma;
+        let is_told = self.mean.x.abs() > TOLD_SCALE_ERROR && self.mean.x.abs() > TOLD_SIGMAS * sigma;
         is_told.then(|| 1.0 / (1.0 + self.mean.x))
     }
 
@@ -97,7 +89,7 @@ impl Calibration {
     /// Takes how far the platform moved (metres in the local map) while odometry told this.
     pub fn learn(&mut self, motion: &ToldMotion, moved: &Vector3, found: &MeasuredPlace) {
         let most = self.settings.odometry_calibration.powi(2);
-        let walk = most * motion.seconds / FORGOTTEN;
+        let walk = most * motion.seconds / FORGOTTEN_AFTER;
         self.variances = self.variances.map(|variance| (variance + walk).min(most));
         // Odometry of a platform that stands says nothing of one that moves.
         let (told, least) = (motion.translation.norm(), self.settings.least_translation_error);
@@ -118,7 +110,7 @@ impl Calibration {
             let total = variance + least * least + noise + told * told * self.variances[i];
             let squared = innovation * innovation / total;
             self.noise.add_relative(squared);
-            if squared < OUTLIER {
+            if squared < OUTLIER_SQUARED_SIGMAS {
                 let gain = told * self.variances[i] / total;
                 self.mean[i] += gain * innovation;
                 self.variances[i] -= gain * gain * total;

@@ -8,14 +8,9 @@ use portolan_geometry::Rigid3;
 
 use super::MeasuredPlace;
 
-/// Logarithm of the odds that odometry works before anything is known, and the most of them either way, so that a failure that
-/// begins or ends is noticed within a few sweeps. Assumed, not measured.
-const AT_FIRST: f64 = 3.0;
-const MOST: f64 = 6.0;
-/// A prediction that is farther off than this tells no more, nats: other things go wrong, too.
-const OUTLIER: f64 = 8.0;
-/// Predictions that differ by fewer standard deviations are one.
-const DIFFERENT: f64 = 3.0;
+use crate::settings::constants::odometry_trust::{
+    DIFFERENT_SIGMAS, FIRST_LOG_ODDS, MOST_LOG_ODDS, OUTLIER_NATS,
+};
 
 /// What is believed of odometry.
 #[derive(Clone, Copy, Debug)]
@@ -25,7 +20,7 @@ pub(crate) struct OdometryTrust {
 
 impl Default for OdometryTrust {
     fn default() -> Self {
-        Self { log_odds: AT_FIRST }
+        Self { log_odds: FIRST_LOG_ODDS }
     }
 }
 
@@ -52,8 +47,8 @@ impl TwoMotions {
         let (a, b) = (&self.measured, &self.otherwise);
         let metres = (a.end.translation.vector - b.end.translation.vector).norm();
         let radians = a.end.rotation.angle_to(&b.end.rotation);
-        metres > DIFFERENT * a.sigma.hypot(b.sigma)
-            || self.rotation_sigma.is_some_and(|sigma| radians > DIFFERENT * sigma.hypot(sigma))
+        metres > DIFFERENT_SIGMAS * a.sigma.hypot(b.sigma)
+            || self.rotation_sigma.is_some_and(|sigma| radians > DIFFERENT_SIGMAS * sigma.hypot(sigma))
     }
 
     /// Negative logarithm of how likely a prediction is where the sweep was found, up to a constant.
@@ -68,7 +63,7 @@ impl TwoMotions {
             squares += direction.dot(&shift).powi(2) / total;
             logarithms += 0.5 * total.ln();
         }
-        (0.5 * squares).min(OUTLIER) + logarithms
+        (0.5 * squares).min(OUTLIER_NATS) + logarithms
     }
 }
 
@@ -84,7 +79,7 @@ impl OdometryTrust {
             return;
         }
         let odds = motions.surprise(&motions.otherwise, found) - motions.surprise(&motions.measured, found);
-        self.log_odds = (self.log_odds + odds).clamp(-MOST, MOST);
+        self.log_odds = (self.log_odds + odds).clamp(-MOST_LOG_ODDS, MOST_LOG_ODDS);
     }
 }
 

@@ -7,9 +7,7 @@ use super::attenuation::Attenuation;
 use super::normal_equations::NormalEquations;
 use super::{MotionPrior, Sigmas};
 use crate::segment::SegmentCorrection;
-
-/// In degenerate directions the prior decides: it counts so many times more than the points.
-const PRIOR_FACTOR: f64 = 30.0;
+use crate::settings::constants::registration::DEGENERATE_PRIOR_FACTOR;
 
 /// A step.
 pub(super) struct Step {
@@ -46,7 +44,7 @@ pub(super) fn solve(
             } else {
                 for direction in directions {
                     let known = direction.dot(&(information * direction)).abs();
-                    block += direction * direction.transpose() * (PRIOR_FACTOR * known);
+                    block += direction * direction.transpose() * (DEGENERATE_PRIOR_FACTOR * known);
                 }
             }
             stiffness.fixed_view_mut::<3, 3>(at, at).copy_from(&block);
