@@ -87,6 +87,12 @@ impl CliError {
     }
 }
 
+impl From<portolan_config::flags::FlagError> for CliError {
+    fn from(error: portolan_config::flags::FlagError) -> Self {
+        Self::Usage(error.to_string())
+    }
+}
+
 impl From<portolan_atomic_file::WriteError> for CliError {
     fn from(error: portolan_atomic_file::WriteError) -> Self {
         Self::File { path: error.path, source: error.source }

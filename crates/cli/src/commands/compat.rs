@@ -3,7 +3,6 @@
 mod assets;
 mod bags;
 mod configuration;
-mod flags;
 mod ground_truth;
 mod log;
 mod mapping;
@@ -17,7 +16,6 @@ use std::path::{Path, PathBuf};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{print, print_summary};
-use flags::Flags;
 
 /// Run under the names, flags and messages of Cartographer's programs.
 ///

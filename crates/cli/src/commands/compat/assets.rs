@@ -4,19 +4,18 @@ use std::path::{Path, PathBuf};
 
 use portolan::assets::{AssetsError, PlacedRecording};
 use portolan::trajectory_file::{nodes, read_pose_graph};
+use portolan_config::flags::{Flags, KnownFlags};
 use portolan_config::lua::{Limits, evaluate_file};
 use portolan_evaluation::Trajectory;
 use portolan_export::points::{Flush, Pipeline, PipelineContext, pipeline_from_lua, table_of};
 use portolan_geometry::NearFrame;
 use portolan_ingest::{IngestOptions, read_urdf};
 
-use super::Flags;
-use super::flags::Known;
 use super::log;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 
-const KNOWN: Known = Known {
+const KNOWN: KnownFlags = KnownFlags {
     values: &[
         ("configuration_directory", ""),
         ("configuration_basename", ""),
@@ -34,7 +33,7 @@ const KNOWN: Known = Known {
 pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
     let flags = Flags::parse(arguments, &KNOWN)?;
     let (bags, map) = (flags.list("bag_filenames"), flags.path("pose_graph_filename")?);
-    let Some(first_bag) = bags.first() else { return Err(flags.wrong("-bag_filenames is missing")) };
+    let Some(first_bag) = bags.first() else { return Err(flags.wrong("-bag_filenames is missing").into()) };
     let graph = read_pose_graph(&map)?;
     if graph.trajectory.len() != bags.len() {
         let (found, given) = (graph.trajectory.len(), bags.len());

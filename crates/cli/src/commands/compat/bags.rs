@@ -5,13 +5,12 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use portolan::trajectory_file::{nodes, read_pose_graph};
+use portolan_config::flags::{Flags, KnownFlags};
 use portolan_diagnose::{Severity, check, findings_to_text};
 use portolan_geometry::{Rigid3, Time, rotation_angle};
 use portolan_ingest::{IngestOptions, TfInput, TfTree};
 use portolan_recording::{Message, Recording, open};
 
-use super::Flags;
-use super::flags::Known;
 use super::log;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
@@ -21,7 +20,7 @@ use crate::output::{print, write_file};
 pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
     let flags = Flags::parse(
         arguments,
-        &Known {
+        &KnownFlags {
             values: &[("bag_filename", "")],
             switches: &[("dump_timing", false)],
             usage: "usage: cartographer_rosbag_validate -bag_filename BAG",
@@ -75,7 +74,7 @@ fn dump_timing(recording: &dyn Recording) -> Result<(), CliError> {
 pub fn compare(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
     let flags = Flags::parse(
         arguments,
-        &Known {
+        &KnownFlags {
             values: &[
                 ("bag_filename", ""),
                 ("tf_parent_frame", "map"),

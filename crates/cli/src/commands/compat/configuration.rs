@@ -2,10 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use portolan_config::flags::{Flags, KnownFlags};
 use portolan_config::lua::{Limits, evaluate_file, print_configuration};
 
-use super::Flags;
-use super::flags::Known;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::print;
@@ -13,7 +12,7 @@ use crate::output::print;
 pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
     let flags = Flags::parse(
         arguments,
-        &Known {
+        &KnownFlags {
             values: &[
                 ("configuration_directories", ""),
                 ("configuration_basename", ""),

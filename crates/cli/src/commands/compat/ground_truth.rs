@@ -3,13 +3,12 @@
 use std::path::PathBuf;
 
 use portolan::trajectory_file::{nodes, read_pose_graph};
+use portolan_config::flags::{Flags, KnownFlags};
 use portolan_evaluation::{
     GenerateOptions, Trajectory, generate_relations, read_binary_relations, read_text_relations,
     relation_errors, write_binary_relations,
 };
 
-use super::Flags;
-use super::flags::Known;
 use super::log;
 use crate::GlobalArgs;
 use crate::commands::evaluate::generate::read_map_graph;
@@ -21,7 +20,7 @@ use crate::output::write_file;
 pub fn generate(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
     let flags = Flags::parse(
         arguments,
-        &Known {
+        &KnownFlags {
             values: &[
                 ("pose_graph_filename", ""),
                 ("output_filename", ""),
@@ -54,7 +53,7 @@ pub fn generate(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliErro
 pub fn metrics(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
     let flags = Flags::parse(
         arguments,
-        &Known {
+        &KnownFlags {
             values: &[("pose_graph_filename", ""), ("relations_filename", "")],
             switches: &[("read_text_file_with_unix_timestamps", false), ("write_relation_metrics", false)],
             usage: "usage: cartographer_compute_relations_metrics -pose_graph_filename MAP -relations_filename \

@@ -3,15 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use clap::Parser;
+use portolan_config::flags::{Flags, KnownFlags};
 use portolan_pbstream::MapReader;
 
-use super::Flags;
-use super::flags::Known;
 use super::log;
 use crate::error::{CliError, Outcome};
 use crate::{Cli, GlobalArgs};
 
-const FLAGS: Known = Known {
+const FLAGS: KnownFlags = KnownFlags {
     values: &[
         ("configuration_directory", ""),
         ("configuration_basenames", ""),
@@ -39,10 +38,12 @@ pub fn run(arguments: &[String], global: &GlobalArgs) -> Result<Outcome, CliErro
     flags.required("configuration_basenames")?;
     let (bags, state) = (flags.list("bag_filenames"), flags.value("load_state_filename"));
     if bags.is_empty() && state.is_empty() {
-        return Err(flags.wrong("-bag_filenames and -load_state_filename cannot both be unspecified."));
+        return Err(flags
+            .wrong("-bag_filenames and -load_state_filename cannot both be unspecified.")
+            .into());
     }
     if !state.is_empty() && !state.ends_with(".pbstream") {
-        return Err(flags.wrong(&format!("-load_state_filename={state} is no .pbstream")));
+        return Err(flags.wrong(&format!("-load_state_filename={state} is no .pbstream")).into());
     }
     let output = output(&flags, &bags, state)?;
     let mut known = (!state.is_empty()).then(|| PathBuf::from(state));
@@ -86,9 +87,9 @@ pub fn run(arguments: &[String], global: &GlobalArgs) -> Result<Outcome, CliErro
 fn output(flags: &Flags, bags: &[String], state: &str) -> Result<PathBuf, CliError> {
     match (flags.value("save_state_filename"), bags.first()) {
         ("", Some(bag)) => Ok(PathBuf::from(format!("{bag}.pbstream"))),
-        ("", None) => {
-            Err(flags.wrong(&format!("without bags nothing changes in {state}: -save_state_filename?")))
-        }
+        ("", None) => Err(flags
+            .wrong(&format!("without bags nothing changes in {state}: -save_state_filename?"))
+            .into()),
         (name, _) => Ok(PathBuf::from(name)),
     }
 }

@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use portolan_config::flags::{FlagError, Flags, KnownFlags};
 use portolan_mapfile::{MapInfo, MigrateOptions, info, migrate};
 use portolan_pbstream::{MapReader, MessageKind, PbstreamReader, ReadLimits, pose_graph_to_text};
 
-use super::flags::{Flags, Known};
 use super::log;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
@@ -23,7 +23,7 @@ pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
 }
 
 fn run_info(arguments: &[String]) -> Result<Outcome, CliError> {
-    let known = Known {
+    let known = KnownFlags {
         values: &[],
         switches: &[("all_debug_strings", false)],
         usage: "usage: cartographer_pbstream info <pbstream_filename> [--all_debug_strings]",
@@ -64,7 +64,7 @@ fn print_messages(path: &Path) -> Result<(), CliError> {
 }
 
 fn run_migrate(arguments: &[String]) -> Result<Outcome, CliError> {
-    let known = Known {
+    let known = KnownFlags {
         values: &[],
         switches: &[("include_unfinished_submaps", true)],
         usage: "usage: cartographer_pbstream migrate <input_filename> <output_filename> \
@@ -87,6 +87,6 @@ fn run_migrate(arguments: &[String]) -> Result<Outcome, CliError> {
 }
 
 /// Cartographer ends with code 1 also on wrong usage.
-fn as_failure(error: CliError) -> CliError {
+fn as_failure(error: FlagError) -> CliError {
     CliError::Failed(error.to_string())
 }

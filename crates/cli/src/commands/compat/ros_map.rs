@@ -2,11 +2,10 @@
 
 use std::path::Path;
 
+use portolan_config::flags::{Flags, KnownFlags};
 use portolan_mapfile::{ImageName, PaintOptions, load_textures, paint, write_ros_map};
 use portolan_pbstream::MapReader;
 
-use super::Flags;
-use super::flags::Known;
 use super::log;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
@@ -14,7 +13,7 @@ use crate::error::{CliError, Outcome};
 pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
     let flags = Flags::parse(
         arguments,
-        &Known {
+        &KnownFlags {
             values: &[("pbstream_filename", ""), ("map_filestem", "map"), ("resolution", "0.05")],
             switches: &[],
             usage: "usage: cartographer_pbstream_to_ros_map -pbstream_filename MAP [-map_filestem map] \

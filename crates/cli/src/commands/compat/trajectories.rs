@@ -3,14 +3,13 @@
 use std::sync::Arc;
 
 use portolan::trajectory_file::{nodes, read_pose_graph};
+use portolan_config::flags::{Flags, KnownFlags};
 use portolan_geometry::Rigid3;
 use portolan_recording::{
     BagCompression, Header, Message, Pose, RecordedMessage, RecordingFormat, TfMessage, TransformStamped,
     create,
 };
 
-use super::Flags;
-use super::flags::Known;
 use super::log;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
@@ -19,7 +18,7 @@ use crate::error::{CliError, Outcome};
 pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
     let flags = Flags::parse(
         arguments,
-        &Known {
+        &KnownFlags {
             values: &[("input", ""), ("output", ""), ("parent_frame", "map")],
             switches: &[],
             usage: "usage: cartographer_dev_pbstream_trajectories_to_rosbag -input MAP -output BAG \

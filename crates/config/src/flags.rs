@@ -1,12 +1,18 @@
-//! Flags in the manner of gflags.
+//! Flags of command lines as Cartographer's programs take them, in the manner of gflags.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use crate::error::CliError;
+use thiserror::Error;
+
+/// Wrong usage: what is wrong, and how the program is used.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("{0}")]
+pub struct FlagError(pub String);
 
 /// What the flags of a program are.
-pub struct Known {
+#[derive(Clone, Copy, Debug)]
+pub struct KnownFlags {
     /// Flags with a value, and their defaults.
     pub values: &'static [(&'static str, &'static str)],
     /// Flags that are on or off, and their defaults.
@@ -16,6 +22,7 @@ pub struct Known {
 }
 
 /// Flags as given.
+#[derive(Clone, Debug)]
 pub struct Flags {
     values: BTreeMap<&'static str, String>,
     switches: BTreeMap<&'static str, bool>,
@@ -26,8 +33,11 @@ pub struct Flags {
 
 impl Flags {
     /// Reads `-flag value`, `--flag=value`, `--switch`, `--switch=false` and `--noswitch`. After `--` all is
-    /// positional. Unknown flags are wrong usage, as in Cartographer.
-    pub fn parse(arguments: &[String], known: &Known) -> Result<Self, CliError> {
+    /// positional.
+    ///
+    /// # Errors
+    /// If a flag is not known, as in Cartographer, lacks its value, or is a switch with another one than true and false.
+    pub fn parse(arguments: &[String], known: &KnownFlags) -> Result<Self, FlagError> {
         let mut flags = Self {
             values: known.values.iter().map(|(name, value)| (*name, (*value).to_owned())).collect(),
             switches: known.switches.iter().copied().collect(),
@@ -49,14 +59,14 @@ impl Flags {
         Ok(flags)
     }
 
-    fn flag<'a>(&mut self, flag: &str, rest: &mut impl Iterator<Item = &'a String>) -> Result<(), CliError> {
+    fn flag<'a>(&mut self, flag: &str, rest: &mut impl Iterator<Item = &'a String>) -> Result<(), FlagError> {
         let (name, given) = match flag.split_once('=') {
             Some((name, value)) => (name, Some(value)),
             None => (flag, None),
         };
         let name = name.replace('-', "_");
         if let Some(value) = self.values.get_mut(name.as_str()) {
-            let missing = || CliError::Usage(format!("flag '--{name}' is missing its argument"));
+            let missing = || FlagError(format!("flag '--{name}' is missing its argument"));
             *value = match given {
                 Some(given) => given.to_owned(),
                 None => rest.next().ok_or_else(missing)?.clone(),
@@ -69,7 +79,7 @@ impl Flags {
                 Some("false" | "f" | "0" | "no" | "n") => false,
                 Some(other) => {
                     let text = format!("illegal value '{other}' specified for bool flag '{name}'");
-                    return Err(CliError::Usage(text));
+                    return Err(FlagError(text));
                 }
             };
             return Ok(());
@@ -89,8 +99,8 @@ impl Flags {
     }
 
     /// Wrong usage: what is wrong, and how it is done.
-    pub fn wrong(&self, what: &str) -> CliError {
-        CliError::Usage(format!("{what}\n{}", self.usage))
+    pub fn wrong(&self, what: &str) -> FlagError {
+        FlagError(format!("{what}\n{}", self.usage))
     }
 
     /// The value of a flag with one.
@@ -99,18 +109,27 @@ impl Flags {
     }
 
     /// The value of a flag that must be given.
-    pub fn required(&self, name: &str) -> Result<&str, CliError> {
+    ///
+    /// # Errors
+    /// If it is empty.
+    pub fn required(&self, name: &str) -> Result<&str, FlagError> {
         let value = self.value(name);
         if value.is_empty() { Err(self.wrong(&format!("-{name} is missing."))) } else { Ok(value) }
     }
 
     /// A file that must be given.
-    pub fn path(&self, name: &str) -> Result<PathBuf, CliError> {
+    ///
+    /// # Errors
+    /// If it is empty.
+    pub fn path(&self, name: &str) -> Result<PathBuf, FlagError> {
         self.required(name).map(|value| Path::new(value).to_owned())
     }
 
     /// A number.
-    pub fn number(&self, name: &str) -> Result<f64, CliError> {
+    ///
+    /// # Errors
+    /// If it is none.
+    pub fn number(&self, name: &str) -> Result<f64, FlagError> {
         let value = self.value(name);
         value.parse().map_err(|_| self.wrong(&format!("illegal value '{value}' specified for flag '{name}'")))
     }
@@ -130,10 +149,10 @@ impl Flags {
 mod tests {
     use super::*;
 
-    const KNOWN: Known =
-        Known { values: &[("file", ""), ("size", "0.5")], switches: &[("write", true)], usage: "how" };
+    const KNOWN: KnownFlags =
+        KnownFlags { values: &[("file", ""), ("size", "0.5")], switches: &[("write", true)], usage: "how" };
 
-    fn parse(text: &str) -> Result<Flags, CliError> {
+    fn parse(text: &str) -> Result<Flags, FlagError> {
         let arguments: Vec<String> = text.split_whitespace().map(str::to_owned).collect();
         Flags::parse(&arguments, &KNOWN)
     }
