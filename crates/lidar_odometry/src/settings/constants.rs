@@ -1,6 +1,6 @@
 //! Numbers of single models that could be others: of likelihoods, filters, priors and iterations. They are no fields of
-//! [`super::OdometrySettings`], because no recording so far needs another value. Each says its unit, where it comes from and what it
-//! does; where no source is named it is assumed.
+//! [`super::OdometrySettings`]: each belongs to the model of one file, which its module names. Each says its unit and why it is what it
+//! is; where no reason is named it is assumed.
 
 /// How shifts of what stands upright are weighed (`shift_likelihood.rs`).
 pub(crate) mod shift_likelihood {
