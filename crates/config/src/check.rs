@@ -21,6 +21,9 @@ pub(crate) struct Findings {
 
 impl MapBuilderOptions {
     /// The dimension that is switched on; exactly one must be.
+    ///
+    /// # Errors
+    /// If both are switched on, or none is.
     pub fn dimension(&self) -> Result<Dimension, ConfigError> {
         match (self.use_trajectory_builder_2d, self.use_trajectory_builder_3d) {
             (true, false) => Ok(Dimension::Two),
@@ -43,6 +46,9 @@ impl MapBuilderOptions {
 impl Options {
     /// Checks every value against its bounds and the options that must fit each other. Tables of the
     /// dimension that is not in use are not checked.
+    ///
+    /// # Errors
+    /// All values that do not fit.
     pub fn validate(&self) -> Result<(), Vec<ConfigError>> {
         let errors = self.findings().errors;
         if errors.is_empty() { Ok(()) } else { Err(errors) }
@@ -127,6 +133,9 @@ fn check_order(errors: &mut Vec<ConfigError>, table: &str, what: &str, min: f32,
 
 impl MapBuilderServerOptions {
     /// Checks every value against its bounds and the options that must fit each other.
+    ///
+    /// # Errors
+    /// All values that do not fit.
     pub fn validate(&self) -> Result<(), Vec<ConfigError>> {
         let errors = self.findings().errors;
         if errors.is_empty() { Ok(()) } else { Err(errors) }

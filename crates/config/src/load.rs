@@ -44,16 +44,26 @@ impl Loader {
     /// Loads a robot's file. In 3D scans are matched to planes unless it says `match_surfaces = false` in the table
     /// `portolan`; [`Options::set_engine`] changes that. A bare name that is no file in the working directory may be one of the
     /// built-in files, such as `backpack_2d.lua`.
+    ///
+    /// # Errors
+    /// If the file cannot be read or run, lacks what is required, or has values or unknown keys that are errors, or if a
+    /// setting does not fit.
     pub fn load(&self, path: &Path) -> Result<LoadedConfig, ConfigError> {
         self.finish_options(evaluate_file(path, &self.directories, self.limits)?)
     }
 
     /// Loads a robot's configuration given as text; `name` stands for it in messages.
+    ///
+    /// # Errors
+    /// As for [`Self::load`].
     pub fn load_text(&self, name: &str, text: &str) -> Result<LoadedConfig, ConfigError> {
         self.finish_options(evaluate_text(name, text, &self.directories, self.limits)?)
     }
 
     /// Takes options that were made otherwise, for instance [`Options::for_2d`], and applies the settings.
+    ///
+    /// # Errors
+    /// If a setting or a value does not fit.
     pub fn load_options(&self, base: Options) -> Result<LoadedConfig, ConfigError> {
         let config =
             LoadedConfig { options: base, warnings: Vec::new(), files: Vec::new(), printed: Vec::new() };
@@ -61,6 +71,9 @@ impl Loader {
     }
 
     /// Loads the file of a map builder server. Settings are not applied.
+    ///
+    /// # Errors
+    /// As for [`Self::load`].
     pub fn load_server(&self, path: &Path) -> Result<LoadedConfig<MapBuilderServerOptions>, ConfigError> {
         let evaluation = evaluate_file(path, &self.directories, self.limits)?;
         let mut config = self.fill(&evaluation, &["map_builder"], MapBuilderServerOptions::default())?;
@@ -71,6 +84,9 @@ impl Loader {
 
     /// Reads JSON as written by [`Options::to_json`]. What is left out keeps its default; only a table that
     /// may be absent (a trimmer, an intensity table) is absent when the table around it is given without it.
+    ///
+    /// # Errors
+    /// If the text is no JSON, or as for [`Self::load`].
     pub fn load_json(&self, name: &str, text: &str) -> Result<LoadedConfig, ConfigError> {
         let mut reader = self.reader(name, &|_| None);
         let mut options = Options::default();
@@ -182,16 +198,25 @@ impl Options {
 
     /// Loads a robot's Lua file, unknown keys being errors. Included files are sought beside it, then in
     /// `directories`, then among the built-in ones.
+    ///
+    /// # Errors
+    /// As for [`Loader::load`].
     pub fn from_lua_file(path: &Path, directories: &[PathBuf]) -> Result<LoadedConfig, ConfigError> {
         Loader { directories: directories.to_vec(), ..Loader::default() }.load(path)
     }
 
     /// Loads a robot's Lua configuration given as text.
+    ///
+    /// # Errors
+    /// As for [`Loader::load`].
     pub fn from_lua(name: &str, text: &str) -> Result<LoadedConfig, ConfigError> {
         Loader::default().load_text(name, text)
     }
 
     /// Loads JSON as written by [`Options::to_json`].
+    ///
+    /// # Errors
+    /// As for [`Loader::load_json`].
     pub fn from_json(text: &str) -> Result<LoadedConfig, ConfigError> {
         Loader::default().load_json("JSON", text)
     }

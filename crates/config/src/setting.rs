@@ -16,6 +16,9 @@ impl Options {
     /// also without quotes: `true`, `0.6`, `math.rad(20)`, `math.huge`, `base_link`; angles also as
     /// `20deg`. Setting an option of an absent table makes the table; `path=nil` takes a table away that
     /// may be absent.
+    ///
+    /// # Errors
+    /// If the text is no setting, its path fits no option or several, or the value does not fit.
     pub fn set(&mut self, setting: &str) -> Result<(), ConfigError> {
         let no_setting = || ConfigError::NoSetting { text: setting.to_owned() };
         let (path, value) = setting.split_once('=').ok_or_else(no_setting)?;
@@ -29,6 +32,9 @@ impl Options {
 
     /// The value at a path, given as for [`Options::set`]; a table as a table, `None` for one that is
     /// absent.
+    ///
+    /// # Errors
+    /// If the path fits no option or several.
     pub fn get(&self, path: &str) -> Result<Option<Value>, ConfigError> {
         let doc = resolve(path)?;
         Ok(find(self, &doc.path))

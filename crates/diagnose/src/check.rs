@@ -49,6 +49,9 @@ pub struct CheckReport {
 }
 
 /// Checks a whole recording. `progress` is told the bytes read so far after every 256 messages.
+///
+/// # Errors
+/// If the recording cannot be read.
 pub fn check(
     recording: &dyn Recording,
     options: &IngestOptions,
@@ -59,6 +62,9 @@ pub fn check(
 }
 
 /// The same where lidars were compared with the IMU before: those sensors are not compared once more.
+///
+/// # Errors
+/// If the recording cannot be read.
 pub fn check_with_clocks(
     recording: &dyn Recording,
     inventory: &Inventory,

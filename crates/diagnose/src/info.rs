@@ -79,6 +79,9 @@ pub struct RecordingInfo {
 
 /// Sums up a recording. Reads its beginning only, if its index tells the rest; otherwise all of it.
 /// `progress` is told the bytes read so far.
+///
+/// # Errors
+/// If the recording cannot be read.
 pub fn info(
     recording: &dyn Recording,
     options: &IngestOptions,

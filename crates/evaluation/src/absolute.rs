@@ -33,6 +33,9 @@ pub struct AbsoluteErrors {
 }
 
 /// Compares an estimate with the truth.
+///
+/// # Errors
+/// As for [`associate`].
 pub fn absolute_errors(
     truth: &Trajectory,
     estimate: &Trajectory,

@@ -20,6 +20,9 @@ pub enum Alignment {
 }
 
 /// The transform `truth_from_estimate` between the maps of the pairs.
+///
+/// # Errors
+/// If there is no pair, or no rotation brings the positions of the pairs together.
 pub fn align(pairs: &[PosePair], alignment: Alignment) -> Result<Rigid3, EvaluationError> {
     let Some(first) = pairs.first() else { return Err(EvaluationError::EmptyTrajectory("associated")) };
     match alignment {

@@ -38,6 +38,9 @@ pub struct PosePair {
 }
 
 /// Pairs in order of time: one for every pose of the estimate that the truth covers, at least one.
+///
+/// # Errors
+/// If a trajectory has no poses, or no pose of the estimate has a counterpart.
 pub fn associate(
     truth: &Trajectory,
     estimate: &Trajectory,

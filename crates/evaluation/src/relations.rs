@@ -35,6 +35,9 @@ pub struct Relation {
 }
 
 /// Reads relations from the bytes of a file: text if there is nothing but text in it, else binary.
+///
+/// # Errors
+/// If the bytes are damaged, or of another format.
 pub fn read_relations(bytes: &[u8]) -> Result<Vec<Relation>, EvaluationError> {
     // A binary file of relations holds stamps, whose bytes are not ASCII.
     if bytes.is_ascii() { read_text_relations(bytes) } else { read_binary_relations(bytes) }

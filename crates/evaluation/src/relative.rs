@@ -55,6 +55,9 @@ fn between(a: &PosePair, b: &PosePair) -> (f64, f64) {
 /// Compares motions over a step, from every pose of the estimate that has one a step later: both
 /// trajectories interpolated at that time, or the first pose at least so many metres further along the
 /// true way. No alignment of the maps is needed.
+///
+/// # Errors
+/// If the step is not above zero, or as for [`associate`].
 pub fn relative_errors(
     truth: &Trajectory,
     estimate: &Trajectory,
@@ -136,6 +139,9 @@ pub const KITTI_STRIDE: usize = 10;
 /// Measures drift over segments of the given lengths (metres along the true way), started at every
 /// `stride`-th pose. A segment ends at the first pose beyond its length. [`KITTI_LENGTHS`] and
 /// [`KITTI_STRIDE`] give the figures of that benchmark.
+///
+/// # Errors
+/// If a length is not above zero, or as for [`associate`].
 pub fn drift(
     truth: &Trajectory,
     estimate: &Trajectory,

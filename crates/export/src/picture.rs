@@ -89,6 +89,9 @@ pub struct Picture {
 }
 
 /// Draws a map, or single submaps of it. The same picture for any number of threads.
+///
+/// # Errors
+/// If there is nothing to draw, or the picture would be too large.
 pub fn draw_map(content: &MapContent, options: &PictureOptions) -> Result<Picture, PictureError> {
     let frame = frame(content, options)?;
     let colours = options.colours.unwrap_or_else(|| suitable_colours(content.textures));

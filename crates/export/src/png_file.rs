@@ -9,6 +9,9 @@ use portolan_mapfile::PaintedMap;
 use crate::picture::Picture;
 
 /// Writes a picture.
+///
+/// # Errors
+/// If the file cannot be written.
 pub fn write_picture(path: &Path, picture: &Picture) -> Result<(), WriteError> {
     write_png(path, png::ColorType::Rgb, [picture.frame.width, picture.frame.height], &picture.rgb)
 }
@@ -19,6 +22,9 @@ pub(crate) fn write_rgb(path: &Path, size: [usize; 2], rgb: &[u8]) -> Result<(),
 }
 
 /// Writes the grey values of a painted map: what ROS maps hold, as PNG.
+///
+/// # Errors
+/// If the file cannot be written.
 pub fn write_grey_map(path: &Path, map: &PaintedMap) -> Result<(), WriteError> {
     let grey: Vec<u8> = map.grey().collect();
     write_png(path, png::ColorType::Grayscale, [map.width, map.height], &grey)

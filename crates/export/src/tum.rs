@@ -8,6 +8,9 @@ use portolan_geometry::{Rigid3, Time};
 
 /// Writes a trajectory. Times are Unix seconds with seven exact places, positions metres and quaternions
 /// with nine.
+///
+/// # Errors
+/// If the file cannot be written.
 pub fn write_tum<'a>(
     path: &Path,
     poses: impl IntoIterator<Item = &'a (Time, Rigid3)>,

@@ -49,24 +49,34 @@ pub struct MapMessage {
 impl MapReader {
     /// Opens a map with the default limits.
     ///
-    /// Errors: not a pbstream; an unknown version; pose graph or options missing, out of order or not
-    /// for the same number of trajectories; damage.
+    /// # Errors
+    /// If the file is no pbstream, has an unknown version or is damaged, or if pose graph or options are missing,
+    /// out of order or not for the same number of trajectories.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, PbstreamError> {
         Self::open_with(path, ReadLimits::default())
     }
 
-    /// Opens a map; errors as for [`MapReader::open`].
+    /// Opens a map.
+    ///
+    /// # Errors
+    /// As for [`MapReader::open`].
     pub fn open_with(path: impl AsRef<Path>, limits: ReadLimits) -> Result<Self, PbstreamError> {
         Self::start(open_frames(path.as_ref(), limits)?, limits, DECODE)
     }
 
     /// Opens a map for a summary in little memory: submaps come without the cells of their 2D grids, nodes
-    /// without their content. Errors as for [`MapReader::open`].
+    /// without their content.
+    ///
+    /// # Errors
+    /// As for [`MapReader::open`].
     pub fn open_for_summary(path: impl AsRef<Path>, limits: ReadLimits) -> Result<Self, PbstreamError> {
         Self::start(open_frames(path.as_ref(), limits)?, limits, DECODE_SUMMARY)
     }
 
     /// Reads from any source; `length` is its whole length in bytes if it is known.
+    ///
+    /// # Errors
+    /// As for [`MapReader::open`].
     pub fn from_source(
         source: impl Read + Send + 'static,
         length: Option<u64>,
@@ -76,6 +86,9 @@ impl MapReader {
     }
 
     /// Reads from any source for a summary, as [`MapReader::open_for_summary`].
+    ///
+    /// # Errors
+    /// As for [`MapReader::open`].
     pub fn from_source_for_summary(
         source: impl Read + Send + 'static,
         length: Option<u64>,
@@ -147,6 +160,9 @@ impl MapReader {
 
     /// The next message after those three, or nothing at the end. Further pose graphs, options and
     /// unknown kinds are left out and counted in [`MapReader::ignored`].
+    ///
+    /// # Errors
+    /// If the source cannot be read, or the next message is damaged or larger than the limits.
     pub fn next_message(&mut self) -> Result<Option<MapMessage>, PbstreamError> {
         while let Some(Decoded { index, offset, size, cells, message }) = self.records.next_record()? {
             match message {

@@ -44,6 +44,9 @@ pub enum PointCloudError {
 
 /// Packs points; off by at most half a millimetre in each coordinate. The points come back in the order
 /// of their blocks, not in that of `points`.
+///
+/// # Errors
+/// If a point is beyond the bounds of the format.
 pub fn compress(points: &[Point3f]) -> Result<CompressedPointCloud, PointCloudError> {
     let mut blocks: BTreeMap<[i32; 9], ([i32; 3], Vec<i32>)> = BTreeMap::new();
     for (index, point) in points.iter().enumerate() {
@@ -73,6 +76,9 @@ fn block_order([x, y, z]: [i32; 3]) -> [i32; 9] {
 }
 
 /// Unpacks points, metres. The message is checked; memory stays below twelve bytes for each number in it.
+///
+/// # Errors
+/// If the message is damaged.
 pub fn decompress(cloud: &CompressedPointCloud) -> Result<Vec<Point3f>, PointCloudError> {
     let stated = i64::from(cloud.num_points);
     let wanted = usize::try_from(stated).unwrap_or(0);

@@ -53,16 +53,25 @@ pub struct PbstreamReader {
 
 impl PbstreamReader {
     /// Opens a file with the default limits.
+    ///
+    /// # Errors
+    /// As for [`Self::open_with`].
     pub fn open(path: impl AsRef<Path>) -> Result<Self, PbstreamError> {
         Self::open_with(path, ReadLimits::default())
     }
 
-    /// Opens a file. Errors: not there, not readable, not a pbstream.
+    /// Opens a file.
+    ///
+    /// # Errors
+    /// If the file is missing, cannot be read, or is no pbstream.
     pub fn open_with(path: impl AsRef<Path>, limits: ReadLimits) -> Result<Self, PbstreamError> {
         Ok(Self { records: Records::new(open_frames(path.as_ref(), limits)?, limits, RAW) })
     }
 
     /// Reads from any source; `length` is its whole length in bytes if it is known.
+    ///
+    /// # Errors
+    /// If the source cannot be read, or is no pbstream.
     pub fn from_source(
         source: impl Read + Send + 'static,
         length: Option<u64>,
@@ -73,6 +82,9 @@ impl PbstreamReader {
     }
 
     /// The next message, or nothing at the end.
+    ///
+    /// # Errors
+    /// If the source cannot be read, or the next message is damaged or larger than the limits.
     pub fn next_message(&mut self) -> Result<Option<RawMessage>, PbstreamError> {
         self.records.next_record()
     }
@@ -105,6 +117,9 @@ pub(crate) fn open_frames(path: &Path, limits: ReadLimits) -> Result<FrameReader
 }
 
 /// Refuses pipes where a map is read more than once.
+///
+/// # Errors
+/// If it is a pipe, or cannot be opened.
 pub fn must_be_a_file(path: &Path) -> Result<(), PbstreamError> {
     let opened = regular_file(path).map(drop);
     opened.map_err(|source| PbstreamError::Open { path: path.to_owned(), source })

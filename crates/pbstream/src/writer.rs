@@ -66,7 +66,10 @@ enum Item {
 const MOST_SHORT: usize = 1024;
 
 impl PbstreamWriter {
-    /// Begins a file. Errors: the folder is missing or not writable.
+    /// Begins a file.
+    ///
+    /// # Errors
+    /// If the folder is missing or not writable.
     pub fn create(path: impl AsRef<Path>) -> Result<Self, PbstreamError> {
         let path = path.as_ref();
         let file =
@@ -75,6 +78,9 @@ impl PbstreamWriter {
     }
 
     /// Writes to anything; `name` is for error messages.
+    ///
+    /// # Errors
+    /// If writing fails.
     pub fn to_sink(
         sink: impl Write + Send + 'static,
         name: impl Into<PathBuf>,
@@ -97,12 +103,18 @@ impl PbstreamWriter {
     }
 
     /// Writes the header that must be the first message; see [`FORMAT_VERSION`].
+    ///
+    /// # Errors
+    /// If writing fails.
     pub fn write_header(&mut self, format_version: u32) -> Result<(), PbstreamError> {
         let header = SerializationHeader { format_version, ..SerializationHeader::default() };
         self.write_bytes(header.encode_to_vec())
     }
 
     /// Writes one message of a known kind.
+    ///
+    /// # Errors
+    /// If writing fails.
     pub fn write(&mut self, data: Data) -> Result<(), PbstreamError> {
         let message = SerializedData { data: Some(data) };
         let size = message.encoded_len();
@@ -117,6 +129,9 @@ impl PbstreamWriter {
     }
 
     /// Writes one message as it is, header or other.
+    ///
+    /// # Errors
+    /// If writing fails.
     pub fn write_bytes(&mut self, message: Vec<u8>) -> Result<(), PbstreamError> {
         let size = message.len();
         self.push(Item::Bytes(message), size)
@@ -128,6 +143,9 @@ impl PbstreamWriter {
     }
 
     /// Writes out everything and gives the file its name.
+    ///
+    /// # Errors
+    /// If writing fails.
     pub fn finish(mut self) -> Result<(), PbstreamError> {
         self.hand_in();
         while self.workers.len() > 0 {

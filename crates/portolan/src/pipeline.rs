@@ -201,6 +201,9 @@ impl Preparation {
 }
 
 /// Looks through a recording. Without `options` they are chosen from what is in it.
+///
+/// # Errors
+/// If the recording cannot be read, or no plan can be made of what is in it.
 pub fn prepare(
     recording: &dyn Recording,
     ingest: &IngestOptions,

@@ -286,11 +286,17 @@ macro_rules! simulation {
             }
 
             /// Writes the truth in TUM format: `time x y z qx qy qz qw`, one pose a line.
+            ///
+            /// # Errors
+            /// If writing fails.
             pub fn write_truth_tum(&self, out: &mut dyn std::io::Write, rate: f64) -> std::io::Result<()> {
                 $crate::truth::write_tum(out, self.truth(rate))
             }
 
             /// Writes all messages to a bag or MCAP file; how many. The caller finishes the file.
+            ///
+            /// # Errors
+            /// If a message cannot be written.
             pub fn write_messages(
                 &self,
                 writer: &mut dyn portolan_recording::RecordingWriter,

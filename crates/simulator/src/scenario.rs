@@ -104,6 +104,9 @@ impl ScenarioOptions {
     }
 
     /// Checks every value; errors name the option and its bounds.
+    ///
+    /// # Errors
+    /// The first value that is outside its bounds.
     pub fn check(&self) -> Result<(), SimulatorError> {
         let [width, height] = self.size.unwrap_or(self.scene.default_size());
         let [least_width, least_height] = self.scene.minimum_size();

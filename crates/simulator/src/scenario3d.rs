@@ -160,6 +160,9 @@ impl Scenario3dOptions {
     }
 
     /// Checks every value; errors name the option and its bounds.
+    ///
+    /// # Errors
+    /// The first value that is outside its bounds.
     pub fn check(&self) -> Result<(), SimulatorError> {
         let style = self.style();
         let [least_width, least_depth] = self.scene.minimum_size();

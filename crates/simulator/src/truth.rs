@@ -14,6 +14,9 @@ const CIRCLE_CORNERS: usize = 24;
 impl Simulation {
     /// Writes all fixed surfaces as straight segments: a header line, then `x0,y0,x1,y1,material`,
     /// metres. Round things become polygons with 24 corners on the circle.
+    ///
+    /// # Errors
+    /// If writing fails.
     pub fn write_walls_csv(&self, out: &mut dyn Write) -> io::Result<()> {
         writeln!(out, "x0,y0,x1,y1,material")?;
         for shape in self.world().fixed().shapes() {

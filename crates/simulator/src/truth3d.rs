@@ -14,6 +14,9 @@ const SIDES: usize = 24;
 impl Simulation3d {
     /// Writes all fixed surfaces exactly, as JSON: a list of objects with `kind` (`box`, `triangle`,
     /// `cylinder`, `ball`), `material` and their measures in metres (`yaw` in radians).
+    ///
+    /// # Errors
+    /// If writing fails.
     pub fn write_surfaces_json(&self, out: &mut dyn Write) -> io::Result<()> {
         writeln!(out, "[")?;
         let solids = self.world().fixed().solids();
@@ -26,6 +29,9 @@ impl Simulation3d {
 
     /// Writes all fixed surfaces as a mesh of triangles (PLY, binary, a colour per corner by material).
     /// Round things become prisms with 24 sides.
+    ///
+    /// # Errors
+    /// If writing fails.
     pub fn write_surfaces_ply(&self, out: &mut dyn Write) -> io::Result<()> {
         let mut triangles: Vec<([Vector3; 3], Material)> = Vec::new();
         for solid in self.world().fixed().solids() {

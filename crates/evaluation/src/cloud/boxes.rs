@@ -40,6 +40,9 @@ impl Shape for SolidBox {
 }
 
 /// Reads boxes, one a line: `x0,y0,z0,x1,y1,z1` in metres; lines that begin with `#` are skipped.
+///
+/// # Errors
+/// If reading fails, or a line has no six numbers or its corners the wrong way round.
 pub fn read_boxes(reader: impl BufRead) -> Result<Vec<SolidBox>, EvaluationError> {
     let mut lines = Lines::new(reader);
     let mut boxes = Vec::new();

@@ -56,6 +56,9 @@ impl Columns {
 /// Reads a table whose first line names its columns: `time` (Unix seconds), `x`, `y`, perhaps `z`
 /// (metres), and `qx`, `qy`, `qz`, `qw` or `roll`, `pitch`, `yaw` (or `theta`; radians). Columns may
 /// stand in any order; others are not looked at; the first line may begin with `#`.
+///
+/// # Errors
+/// If reading fails, or a line is not what the format asks for.
 pub fn read_csv(reader: impl BufRead) -> Result<(Trajectory, TrajectoryRepairs), EvaluationError> {
     let mut lines = Lines::new(reader);
     let columns = loop {
@@ -93,12 +96,18 @@ pub fn read_csv(reader: impl BufRead) -> Result<(Trajectory, TrajectoryRepairs),
 }
 
 /// Writes a table `time,x,y,z,qx,qy,qz,qw,yaw`.
+///
+/// # Errors
+/// If writing fails.
 pub fn write_csv(trajectory: &Trajectory, mut writer: impl Write) -> std::io::Result<()> {
     writeln!(writer, "time,x,y,z,qx,qy,qz,qw,yaw")?;
     trajectory.poses().iter().try_for_each(|pose| writeln!(writer, "{}", row(pose)))
 }
 
 /// Writes several trajectories with their numbers: a table `time,x,y,z,qx,qy,qz,qw,yaw,trajectory_id`.
+///
+/// # Errors
+/// If writing fails.
 pub fn write_csv_all(trajectories: &[(i32, Trajectory)], mut writer: impl Write) -> std::io::Result<()> {
     writeln!(writer, "time,x,y,z,qx,qy,qz,qw,yaw,trajectory_id")?;
     for (id, trajectory) in trajectories {

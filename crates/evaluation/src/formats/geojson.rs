@@ -16,6 +16,9 @@ const MAX_BYTES: u64 = 1 << 30;
 /// Writes trajectories with their numbers. With a frame, coordinates are longitude, latitude (degrees) and
 /// height (metres), as GeoJSON wants them; without, they are metres in the map. The properties `times` (Unix
 /// seconds as text, exact) and `rotations` (x, y, z, w) have one entry for each coordinate.
+///
+/// # Errors
+/// If writing fails.
 pub fn write_geojson(
     trajectories: &[(i32, Trajectory)],
     frame: Option<&EastNorthUp>,
@@ -56,6 +59,9 @@ fn coordinates(position: &Vector3<f64>, frame: Option<&EastNorthUp>) -> String {
 
 /// Reads trajectories as [`write_geojson`] writes them. Lines without `times` are left out and counted as
 /// invalid poses; without `rotations` the rotation is none. Coordinates in degrees need the frame.
+///
+/// # Errors
+/// If reading fails, the text is no GeoJSON, or its coordinates are degrees and no frame says where the map lies.
 pub fn read_geojson(
     reader: impl Read,
     frame: Option<&EastNorthUp>,

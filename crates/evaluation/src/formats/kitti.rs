@@ -10,6 +10,9 @@ use crate::trajectory::{TimedPose, Trajectory, TrajectoryRepairs};
 
 /// Reads one pose per line: twelve numbers, row by row. The rotation is made orthogonal; how far it may
 /// be off is not checked, except that it must have three directions.
+///
+/// # Errors
+/// If reading fails, or a line is not what the format asks for.
 pub fn read_kitti_poses(reader: impl BufRead) -> Result<Vec<Rigid3>, EvaluationError> {
     let mut lines = Lines::new(reader);
     let mut poses = Vec::new();
@@ -48,6 +51,9 @@ fn rotation_of(matrix: &na::Matrix3<f64>) -> Option<Quaternion> {
 }
 
 /// Reads one time per line, seconds.
+///
+/// # Errors
+/// If reading fails, or a line is no time.
 pub fn read_kitti_times(reader: impl BufRead) -> Result<Vec<Time>, EvaluationError> {
     let mut lines = Lines::new(reader);
     let mut times = Vec::new();
@@ -58,6 +64,9 @@ pub fn read_kitti_times(reader: impl BufRead) -> Result<Vec<Time>, EvaluationErr
 }
 
 /// Poses and times of the same sequence together.
+///
+/// # Errors
+/// If there are not as many times as poses.
 pub fn kitti_trajectory(
     poses: &[Rigid3],
     times: &[Time],
@@ -70,6 +79,9 @@ pub fn kitti_trajectory(
 }
 
 /// Writes the poses of a trajectory without their times.
+///
+/// # Errors
+/// If writing fails.
 pub fn write_kitti(trajectory: &Trajectory, mut writer: impl Write) -> std::io::Result<()> {
     for pose in trajectory.poses() {
         let matrix = pose.map_from_tracking.to_homogeneous();

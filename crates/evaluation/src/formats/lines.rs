@@ -26,6 +26,9 @@ impl<R: BufRead> Lines<R> {
     }
 
     /// The next line with its number, without line ends and surrounding blanks.
+    ///
+    /// # Errors
+    /// If reading fails, or the line is longer than 64 KiB or no text.
     pub fn next_line(&mut self) -> Result<Option<(usize, &str)>, EvaluationError> {
         self.number += 1;
         match read_line(&mut self.reader, MAX_LINE, &mut self.buffer)? {
@@ -41,6 +44,9 @@ impl<R: BufRead> Lines<R> {
     }
 
     /// The next line that is neither blank nor a comment (`#` or `%` at its beginning).
+    ///
+    /// # Errors
+    /// As for [`Self::next_line`].
     pub fn next_data(&mut self) -> Result<Option<(usize, String)>, EvaluationError> {
         while let Some((number, line)) = self.next_line()? {
             if !line.is_empty() && !line.starts_with(['#', '%']) {

@@ -8,6 +8,9 @@ use crate::trajectory::{TimedPose, Trajectory, TrajectoryRepairs};
 
 /// Reads a TUM trajectory. Blank lines and comments are skipped, disorder is repaired and counted, a
 /// line of anything but eight numbers is an error.
+///
+/// # Errors
+/// If reading fails, or a line is not what the format asks for.
 pub fn read_tum(reader: impl BufRead) -> Result<(Trajectory, TrajectoryRepairs), EvaluationError> {
     let mut lines = Lines::new(reader);
     let mut repairs = TrajectoryRepairs::default();
@@ -33,6 +36,9 @@ pub fn read_tum(reader: impl BufRead) -> Result<(Trajectory, TrajectoryRepairs),
 }
 
 /// Writes a TUM trajectory: exact times, micrometres, nine digits of the quaternion with w ≥ 0.
+///
+/// # Errors
+/// If writing fails.
 pub fn write_tum(trajectory: &Trajectory, mut writer: impl Write) -> std::io::Result<()> {
     for pose in trajectory.poses() {
         let t = pose.map_from_tracking.translation;

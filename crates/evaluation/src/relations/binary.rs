@@ -32,6 +32,9 @@ impl RawRelation {
 }
 
 /// Reads relations from the bytes of a file. Fields that are not known are skipped.
+///
+/// # Errors
+/// If the bytes are damaged, or of another format.
 pub fn read_binary_relations(bytes: &[u8]) -> Result<Vec<Relation>, EvaluationError> {
     let mut relations = Vec::new();
     let mut message = Message { bytes, position: 0, offset: 0 };
@@ -154,6 +157,9 @@ impl<'a> Message<'a> {
 }
 
 /// Writes relations as Cartographer does, byte for byte.
+///
+/// # Errors
+/// If writing fails.
 pub fn write_binary_relations(relations: &[Relation], mut writer: impl Write) -> std::io::Result<()> {
     for relation in relations {
         let mut message = Vec::new();

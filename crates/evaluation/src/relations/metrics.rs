@@ -49,6 +49,9 @@ pub struct RelationReport {
 /// Compares a trajectory with at least two relations. Poses are interpolated; outside the trajectory
 /// its first or last pose is taken. The times must be of one clock, see
 /// [`in_time_base`](super::in_time_base).
+///
+/// # Errors
+/// If the trajectory has no poses, or fewer than two relations lie within it.
 pub fn relation_errors(
     trajectory: &Trajectory,
     relations: &[Relation],
@@ -112,11 +115,17 @@ impl RelationReport {
     }
 
     /// Writes the table of Cartographer's tool, one row per relation.
+    ///
+    /// # Errors
+    /// If writing fails.
     pub fn write_csv(&self, writer: impl Write) -> std::io::Result<()> {
         self.write_rows(writer, |_| String::new(), "")
     }
 
     /// The same, with both times of each relation, seconds since 1970, in front.
+    ///
+    /// # Errors
+    /// If writing fails.
     pub fn write_csv_with_times(&self, writer: impl Write) -> std::io::Result<()> {
         let times = |relation: &Relation| {
             let [first, second] = [relation.time1, relation.time2].map(Time::unix_decimal);

@@ -12,6 +12,9 @@ const FIELDS: usize = 8;
 
 /// Reads records of eight numbers, separated by any white space: two times in seconds, translation in
 /// metres, rotation `Rz(yaw) Ry(pitch) Rx(roll)` in radians. What follows a `#` in a line is a comment.
+///
+/// # Errors
+/// If reading fails, a field is no number, or the last record is cut off.
 pub fn read_text_relations(reader: impl BufRead) -> Result<Vec<Relation>, EvaluationError> {
     let mut lines = Lines::new(reader);
     let mut relations = Vec::new();
@@ -55,6 +58,9 @@ fn parse_record(record: &[String], line: usize) -> Result<Relation, EvaluationEr
 }
 
 /// Writes one relation per line. Covered distances have no place in this format.
+///
+/// # Errors
+/// If writing fails.
 pub fn write_text_relations(relations: &[Relation], mut writer: impl Write) -> std::io::Result<()> {
     for relation in relations {
         let t = relation.expected_1_from_2.translation;

@@ -38,6 +38,9 @@ impl fmt::Display for TimeBaseNotice {
 /// changes. If none does, but most do when their times are a billion seconds later (CARMEN times and a
 /// converted recording) or earlier, they are shifted and the notice says so. If nothing helps it is an
 /// error: clamped to the ends of the trajectory they would say nothing.
+///
+/// # Errors
+/// If the trajectory has no poses, or the relations lie outside of its time on either clock.
 pub fn in_time_base(
     trajectory: &Trajectory,
     relations: &[Relation],

@@ -65,6 +65,9 @@ enum Engine {
 
 impl LocalSlam3d {
     /// Local SLAM for a trajectory with these range sensors.
+    ///
+    /// # Errors
+    /// If an option of grids or matchers is not valid.
     pub fn new(
         options: &TrajectoryBuilder3dOptions,
         range_sensors: &[SensorId],

@@ -64,6 +64,9 @@ pub struct LocalSlam2d {
 
 impl LocalSlam2d {
     /// Local SLAM for a trajectory with these range sensors.
+    ///
+    /// # Errors
+    /// If an option of grids or matchers is not valid.
     pub fn new(
         options: &TrajectoryBuilder2dOptions,
         range_sensors: &[SensorId],

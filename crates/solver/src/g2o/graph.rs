@@ -106,6 +106,9 @@ impl<P: GraphPose> Default for PoseGraph<P> {
 
 impl<P: GraphPose> PoseGraph<P> {
     /// Whether all indices are in range and all numbers finite.
+    ///
+    /// # Errors
+    /// If there is no vertex, an edge has a vertex that does not exist or the same at both ends, or a number is not finite.
     pub fn check(&self) -> Result<(), GraphError> {
         let count = self.vertices.len();
         if count == 0 {

@@ -7,6 +7,9 @@ use super::pose::GraphPose;
 
 /// Writes vertices, fixed vertices and edges. Numbers are written with as many digits as it takes to read the
 /// same numbers back.
+///
+/// # Errors
+/// If writing fails.
 pub fn write_g2o(graph: &Graph, mut out: impl Write) -> io::Result<()> {
     match graph {
         Graph::Planar(graph) => write(graph, &mut out),
