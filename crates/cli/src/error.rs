@@ -3,7 +3,6 @@
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
-use portolan::assets::AssetsError;
 use portolan::job::JobError;
 use portolan::pipeline::PipelineError;
 use portolan::trajectory_file::TrajectoryFileError;
@@ -87,8 +86,21 @@ impl CliError {
     }
 }
 
-impl From<portolan_config::flags::FlagError> for CliError {
-    fn from(error: portolan_config::flags::FlagError) -> Self {
+impl From<portolan_compat::CompatError> for CliError {
+    fn from(error: portolan_compat::CompatError) -> Self {
+        use portolan_compat::CompatError;
+        match error {
+            CompatError::Usage(error) => error.into(),
+            CompatError::File { path, source } => Self::File { path, source },
+            CompatError::Recording(error) => error.into(),
+            CompatError::Output(error) => error.into(),
+            CompatError::Failed(_) => Self::Failed(error.to_string()),
+        }
+    }
+}
+
+impl From<portolan_compat::FlagError> for CliError {
+    fn from(error: portolan_compat::FlagError) -> Self {
         Self::Usage(error.to_string())
     }
 }
@@ -134,15 +146,6 @@ impl From<portolan::job::LastPoseError> for CliError {
     fn from(error: portolan::job::LastPoseError) -> Self {
         match error {
             portolan::job::LastPoseError::File { path, source } => Self::File { path, source },
-            other => Self::Failed(other.to_string()),
-        }
-    }
-}
-
-impl From<AssetsError> for CliError {
-    fn from(error: AssetsError) -> Self {
-        match error {
-            AssetsError::Recording(error) => error.into(),
             other => Self::Failed(other.to_string()),
         }
     }

@@ -7,7 +7,6 @@ mod define;
 mod engine;
 mod error;
 mod fingerprint;
-pub mod flags;
 mod json;
 mod legacy;
 mod load;

@@ -1,17 +1,13 @@
 //! `portolan compat`: Cartographer's own commands, for scripts that call them.
 
-mod assets;
-mod bags;
-mod configuration;
 mod ground_truth;
 mod log;
 mod mapping;
-mod pbstream;
-mod ros_map;
-mod trajectories;
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
+
+use portolan_compat::{Completeness, Console};
 
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
@@ -37,34 +33,78 @@ pub struct CompatArgs {
     command: Vec<String>,
 }
 
-/// How a program ended that did not do its work: its message was already printed.
-type Run = fn(&[String], &GlobalArgs) -> Result<Outcome, CliError>;
+/// Who does what a program does.
+enum Run {
+    /// It is done there.
+    Alone(portolan_compat::Run),
+    /// Another verb does it.
+    ByVerb(fn(&[String], &GlobalArgs) -> Result<Outcome, CliError>),
+}
 
-/// The programs, and what each does.
+use Run::{Alone, ByVerb};
+
+/// The programs, and what each gives.
 const PROGRAMS: [(&str, &str, Run); 10] = [
-    ("cartographer_pbstream", "info on maps and their migration", pbstream::run),
+    ("cartographer_pbstream", "info on maps and their migration", Alone(portolan_compat::pbstream)),
     (
         "cartographer_autogenerate_ground_truth",
         "relations from the loop closures of a map",
-        ground_truth::generate,
+        ByVerb(ground_truth::run),
     ),
-    ("cartographer_compute_relations_metrics", "a map judged by relations", ground_truth::metrics),
-    ("cartographer_print_configuration", "a configuration with all its includes", configuration::run),
-    ("cartographer_pbstream_to_ros_map", "a map as .pgm and .yaml", ros_map::run),
-    ("cartographer_rosbag_validate", "what is wrong with a bag", bags::run),
+    (
+        "cartographer_compute_relations_metrics",
+        "a map judged by relations",
+        Alone(portolan_compat::compute_relations_metrics),
+    ),
+    (
+        "cartographer_print_configuration",
+        "a configuration with all its includes",
+        Alone(portolan_compat::print_configuration),
+    ),
+    (
+        "cartographer_pbstream_to_ros_map",
+        "a map as .pgm and .yaml",
+        Alone(portolan_compat::pbstream_to_ros_map),
+    ),
+    ("cartographer_rosbag_validate", "what is wrong with a bag", Alone(portolan_compat::rosbag_validate)),
     (
         "cartographer_assets_writer",
         "clouds, X-rays and grids of the points of bags, placed by a map",
-        assets::run,
+        Alone(portolan_compat::assets_writer),
     ),
-    ("cartographer_offline_node", "the map of a bag", mapping::run),
+    ("cartographer_offline_node", "the map of a bag", ByVerb(mapping::run)),
     (
         "cartographer_dev_pbstream_trajectories_to_rosbag",
         "the trajectories of a map as transforms in a bag",
-        trajectories::run,
+        Alone(portolan_compat::pbstream_trajectories_to_rosbag),
     ),
-    ("cartographer_dev_trajectory_comparison", "a map compared with the transforms of a bag", bags::compare),
+    (
+        "cartographer_dev_trajectory_comparison",
+        "a map compared with the transforms of a bag",
+        Alone(portolan_compat::trajectory_comparison),
+    ),
 ];
+
+/// The standard output, and lines of Cartographer's log.
+struct Terminal;
+
+impl Console for Terminal {
+    fn print(&mut self, text: &str) -> std::io::Result<()> {
+        match print(text) {
+            Err(CliError::Output(error)) => Err(error),
+            Err(other) => Err(std::io::Error::other(other.to_string())),
+            Ok(()) => Ok(()),
+        }
+    }
+
+    fn info(&mut self, text: &str) {
+        log::info(text);
+    }
+
+    fn warning(&mut self, text: &str) {
+        log::warning(text);
+    }
+}
 
 /// Programs that only make sense in a running ROS system or as part of one, and where to turn.
 const ELSEWHERE: [(&str, &str); 7] = [
@@ -90,8 +130,15 @@ pub fn run(args: &CompatArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
         return if args.list { Ok(Outcome::Done) } else { Err(CliError::Usage("which program?".to_owned())) };
     };
     let name = program_name(name);
-    if let Some((_, _, run)) = PROGRAMS.iter().find(|(known, ..)| *known == name) {
-        return run(rest, global);
+    match PROGRAMS.iter().find(|(known, ..)| *known == name) {
+        Some((_, _, ByVerb(run))) => return run(rest, global),
+        Some((_, _, Alone(run))) => {
+            return Ok(match run(rest, &mut Terminal)? {
+                Completeness::Complete => Outcome::Done,
+                Completeness::WithLoss => Outcome::DataLost,
+            });
+        }
+        None => {}
     }
     match ELSEWHERE.iter().find(|(known, _)| *known == name) {
         Some((_, advice)) => Err(CliError::Usage(format!("{name} needs a running ROS or server; {advice}"))),

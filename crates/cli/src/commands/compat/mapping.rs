@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Parser;
-use portolan_config::flags::{Flags, KnownFlags};
+use portolan_compat::{Flags, KnownFlags};
 use portolan_pbstream::MapReader;
 
 use super::log;

@@ -2,15 +2,20 @@
 
 use std::path::Path;
 
-use portolan_config::flags::{Flags, KnownFlags};
 use portolan_mapfile::{ImageName, PaintOptions, load_textures, paint, write_ros_map};
 use portolan_pbstream::MapReader;
 
-use super::log;
-use crate::GlobalArgs;
-use crate::error::{CliError, Outcome};
+use crate::flags::{Flags, KnownFlags};
+use crate::{CompatError, Completeness, Console};
 
-pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
+/// Writes a map as `.pgm` and `.yaml`.
+///
+/// # Errors
+/// If flags are wrong, the map cannot be read or painted, or a file cannot be written.
+pub fn pbstream_to_ros_map(
+    arguments: &[String],
+    console: &mut dyn Console,
+) -> Result<Completeness, CompatError> {
     let flags = Flags::parse(
         arguments,
         &KnownFlags {
@@ -22,15 +27,15 @@ pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
     )?;
     let map = flags.path("pbstream_filename")?;
     let options = PaintOptions { resolution: flags.number("resolution")?, ..PaintOptions::default() };
-    log::info("Loading submap slices from serialized data.");
-    let failed = |error| CliError::in_file(&map, error);
+    console.info("Loading submap slices from serialized data.");
+    let failed = |error| CompatError::in_file(&map, error);
     let mut reader = MapReader::open(&map).map_err(failed)?;
     let loaded = load_textures(&mut reader).map_err(failed)?;
     for (id, reason) in &loaded.skipped {
-        log::warning(&format!("submap {},{} is not drawn: {reason}", id.0, id.1));
+        console.warning(&format!("submap {},{} is not drawn: {reason}", id.0, id.1));
     }
-    log::info("Generating combined map image from submap slices.");
-    let painted = paint(&loaded.textures, &options).map_err(|error| CliError::in_file(&map, error))?;
+    console.info("Generating combined map image from submap slices.");
+    let painted = paint(&loaded.textures, &options).map_err(|error| CompatError::in_file(&map, error))?;
     write_ros_map(Path::new(flags.value("map_filestem")), &painted, ImageName::AsOpened)?;
-    Ok(if loaded.skipped.is_empty() { Outcome::Done } else { Outcome::DataLost })
+    Ok(if loaded.skipped.is_empty() { Completeness::Complete } else { Completeness::WithLoss })
 }

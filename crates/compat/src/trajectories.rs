@@ -3,19 +3,23 @@
 use std::sync::Arc;
 
 use portolan::trajectory_file::{nodes, read_pose_graph};
-use portolan_config::flags::{Flags, KnownFlags};
 use portolan_geometry::Rigid3;
 use portolan_recording::{
     BagCompression, Header, Message, Pose, RecordedMessage, RecordingFormat, TfMessage, TransformStamped,
     create,
 };
 
-use super::log;
-use crate::GlobalArgs;
-use crate::error::{CliError, Outcome};
+use crate::flags::{Flags, KnownFlags};
+use crate::{CompatError, Completeness, Console};
 
 /// Writes each node twice: on a topic of its trajectory, and on `/tf`.
-pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
+///
+/// # Errors
+/// If flags are wrong, the map cannot be read, or the bag cannot be written.
+pub fn pbstream_trajectories_to_rosbag(
+    arguments: &[String],
+    console: &mut dyn Console,
+) -> Result<Completeness, CompatError> {
     let flags = Flags::parse(
         arguments,
         &KnownFlags {
@@ -35,7 +39,7 @@ pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
     for trajectory in &graph.trajectory {
         let child: Arc<str> = format!("trajectory_{}", trajectory.trajectory_id).into();
         let nodes = nodes(&input, &graph, trajectory.trajectory_id)?;
-        log::info(&format!("Writing {} poses of {child}.", nodes.len()));
+        console.info(&format!("Writing {} poses of {child}.", nodes.len()));
         for node in nodes {
             let transform = TransformStamped {
                 header: Header { stamp: node.time, frame_id: parent.clone() },
@@ -49,7 +53,7 @@ pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
         }
     }
     bag.finish()?;
-    Ok(Outcome::Done)
+    Ok(Completeness::Complete)
 }
 
 fn pose(map_from_tracking: &Rigid3) -> Pose {

@@ -4,16 +4,14 @@ use std::path::{Path, PathBuf};
 
 use portolan::assets::{AssetsError, PlacedRecording};
 use portolan::trajectory_file::{nodes, read_pose_graph};
-use portolan_config::flags::{Flags, KnownFlags};
 use portolan_config::lua::{Limits, evaluate_file};
 use portolan_evaluation::Trajectory;
 use portolan_export::points::{Flush, Pipeline, PipelineContext, pipeline_from_lua, table_of};
 use portolan_geometry::NearFrame;
 use portolan_ingest::{IngestOptions, read_urdf};
 
-use super::log;
-use crate::GlobalArgs;
-use crate::error::{CliError, Outcome};
+use crate::flags::{Flags, KnownFlags};
+use crate::{CompatError, Completeness, Console};
 
 const KNOWN: KnownFlags = KnownFlags {
     values: &[
@@ -30,7 +28,10 @@ const KNOWN: KnownFlags = KnownFlags {
 };
 
 /// Runs a pipeline over the recordings of a map, one for each of its trajectories.
-pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
+///
+/// # Errors
+/// If flags, the configuration or the map are wrong, or a file cannot be read or written.
+pub fn assets_writer(arguments: &[String], console: &mut dyn Console) -> Result<Completeness, CompatError> {
     let flags = Flags::parse(arguments, &KNOWN)?;
     let (bags, map) = (flags.list("bag_filenames"), flags.path("pose_graph_filename")?);
     let Some(first_bag) = bags.first() else { return Err(flags.wrong("-bag_filenames is missing").into()) };
@@ -39,13 +40,13 @@ pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
         let (found, given) = (graph.trajectory.len(), bags.len());
         let text =
             format!("the map has {found} trajectories but {given} bags are given: one each, in their order");
-        return Err(CliError::in_file(&map, text));
+        return Err(CompatError::in_file(&map, text));
     }
     let trajectories = graph
         .trajectory
         .iter()
         .map(|t| Ok(Trajectory::new(nodes(&map, &graph, t.trajectory_id)?).0))
-        .collect::<Result<Vec<_>, CliError>>()?;
+        .collect::<Result<Vec<_>, CompatError>>()?;
     let places = trajectories.iter().flat_map(Trajectory::poses);
     let frame = NearFrame::around(places.map(|pose| pose.map_from_tracking.translation.vector));
     let trajectories: Vec<Trajectory> = trajectories.into_iter().map(|t| t.moved(&-frame.origin())).collect();
@@ -59,7 +60,7 @@ pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
         trajectories: trajectories.iter().map(poses).collect(),
         frame,
     };
-    let (mut pipeline, tracking_frame) = read_pipeline(&flags, &context)?;
+    let (mut pipeline, tracking_frame) = read_pipeline(&flags, &context, console)?;
     let options = ingest_options(&flags, tracking_frame)?;
     let mut bags = bags
         .into_iter()
@@ -68,37 +69,41 @@ pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
     let dropped = loop {
         let mut dropped = 0;
         for (id, (bag, trajectory)) in bags.iter_mut().zip(&trajectories).enumerate() {
-            dropped += bag.send(id, trajectory, &options, &mut pipeline, &mut log::info)?;
+            dropped += bag.send(id, trajectory, &options, &mut pipeline, &mut |text| console.info(text))?;
         }
-        if pipeline.flush(&mut log::info).map_err(failed)? == Flush::Finished {
+        if pipeline.flush(&mut |text| console.info(text)).map_err(failed)? == Flush::Finished {
             break dropped;
         }
     };
     if dropped > 0 {
-        log::info(&format!("{dropped} points were left out: before or after the trajectory."));
+        console.info(&format!("{dropped} points were left out: before or after the trajectory."));
     }
-    Ok(Outcome::Done)
+    Ok(Completeness::Complete)
 }
 
-fn failed(error: impl std::fmt::Display) -> CliError {
-    CliError::Failed(error.to_string())
+fn failed(error: impl std::fmt::Display) -> CompatError {
+    CompatError::Failed(error.to_string())
 }
 
 /// The stages of the configuration, and the frame whose poses the map has.
-fn read_pipeline(flags: &Flags, context: &PipelineContext) -> Result<(Pipeline, String), CliError> {
+fn read_pipeline(
+    flags: &Flags,
+    context: &PipelineContext,
+    console: &mut dyn Console,
+) -> Result<(Pipeline, String), CompatError> {
     let directory = PathBuf::from(flags.required("configuration_directory")?);
     let name = Path::new(flags.required("configuration_basename")?);
     let in_directory = directory.join(name);
     let path = if in_directory.is_file() { &in_directory } else { name };
     let table = evaluate_file(path, &[directory], Limits::default()).map_err(failed)?.table;
     let frame = table.entries.get("tracking_frame").and_then(portolan_config::Value::as_text);
-    let frame = frame.ok_or_else(|| CliError::in_file(path, "tracking_frame is missing"))?;
+    let frame = frame.ok_or_else(|| CompatError::in_file(path, "tracking_frame is missing"))?;
     let stages = table_of(&table, "pipeline").map_err(failed)?;
-    let pipeline = pipeline_from_lua(&stages, context, &mut log::info);
-    Ok((pipeline.map_err(|error| CliError::in_file(path, error))?, frame))
+    let pipeline = pipeline_from_lua(&stages, context, &mut |text| console.info(text));
+    Ok((pipeline.map_err(|error| CompatError::in_file(path, error))?, frame))
 }
 
-fn ingest_options(flags: &Flags, tracking_frame: String) -> Result<IngestOptions, CliError> {
+fn ingest_options(flags: &Flags, tracking_frame: String) -> Result<IngestOptions, CompatError> {
     let description = match flags.value("urdf_filename") {
         "" => None,
         urdf => Some(read_urdf(Path::new(urdf))?),

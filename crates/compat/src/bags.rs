@@ -5,19 +5,19 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use portolan::trajectory_file::{nodes, read_pose_graph};
-use portolan_config::flags::{Flags, KnownFlags};
 use portolan_diagnose::{Severity, check, findings_to_text};
 use portolan_geometry::{Rigid3, Time, rotation_angle};
 use portolan_ingest::{IngestOptions, TfInput, TfTree};
 use portolan_recording::{Message, Recording, open};
 
-use super::log;
-use crate::GlobalArgs;
-use crate::error::{CliError, Outcome};
-use crate::output::{print, write_file};
+use crate::flags::{Flags, KnownFlags};
+use crate::{CompatError, Completeness, Console, write_file};
 
 /// What is wrong with a bag.
-pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
+///
+/// # Errors
+/// If flags are wrong, the bag cannot be read or has errors, or a table cannot be written.
+pub fn rosbag_validate(arguments: &[String], console: &mut dyn Console) -> Result<Completeness, CompatError> {
     let flags = Flags::parse(
         arguments,
         &KnownFlags {
@@ -28,20 +28,20 @@ pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
     )?;
     let recording = open(&flags.path("bag_filename")?)?;
     if flags.is_on("dump_timing") {
-        dump_timing(recording.as_ref())?;
+        dump_timing(recording.as_ref(), console)?;
     }
     let report = check(recording.as_ref(), &IngestOptions::default(), &mut |_| {})?;
-    print(&findings_to_text(&report.findings))?;
-    report.histograms.iter().for_each(|text| log::info(text));
+    console.print(&findings_to_text(&report.findings))?;
+    report.histograms.iter().for_each(|text| console.info(text));
     match report.findings.iter().any(|f| f.severity == Severity::Error) {
-        true => Err(CliError::Failed("the bag has errors".to_owned())),
-        false => Ok(Outcome::Done),
+        true => Err(CompatError::Failed("the bag has errors".to_owned())),
+        false => Ok(Completeness::Complete),
     }
 }
 
 /// Writes `timing_<frame>.csv` for every frame: the number of each message, and its times of recording and
 /// of measurement, Unix nanoseconds.
-fn dump_timing(recording: &dyn Recording) -> Result<(), CliError> {
+fn dump_timing(recording: &dyn Recording, console: &mut dyn Console) -> Result<(), CompatError> {
     let mut tables: BTreeMap<Arc<str>, Vec<[i64; 2]>> = BTreeMap::new();
     let mut reader = recording.read(&|_| true)?;
     while let Some(recorded) = reader.next_message()? {
@@ -65,13 +65,19 @@ fn dump_timing(recording: &dyn Recording) -> Result<(), CliError> {
             writeln!(out, "# packet index\tbag time, ns\theader stamp, ns")?;
             (1_u64..).zip(&rows).try_for_each(|(i, [bag, stamp])| writeln!(out, "{i}\t{bag}\t{stamp}"))
         })?;
-        log::info(&format!("Wrote {} lines to '{}'.", rows.len(), path.display()));
+        console.info(&format!("Wrote {} lines to '{}'.", rows.len(), path.display()));
     }
     Ok(())
 }
 
 /// Distances between the last trajectory of a map and the transforms of a bag.
-pub fn compare(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
+///
+/// # Errors
+/// If flags are wrong, map or bag cannot be read, or the bag has no such transforms.
+pub fn trajectory_comparison(
+    arguments: &[String],
+    console: &mut dyn Console,
+) -> Result<Completeness, CompatError> {
     let flags = Flags::parse(
         arguments,
         &KnownFlags {
@@ -91,7 +97,7 @@ pub fn compare(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError
     let trajectory = portolan_evaluation::Trajectory::new(nodes(&map, &graph, last)?).0;
     let poses = tf_poses(&flags.path("bag_filename")?, &flags)?;
     if poses.is_empty() {
-        return Err(CliError::Failed("the bag has no such transforms".to_owned()));
+        return Err(CompatError::Failed("the bag has no such transforms".to_owned()));
     }
     let errors: Vec<(f64, f64)> = poses
         .iter()
@@ -105,16 +111,16 @@ pub fn compare(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError
         .collect();
     let translations = errors.iter().map(|e| e.0).collect();
     let rotations = errors.iter().map(|e| e.1).collect();
-    print(&format!(
+    console.print(&format!(
         "Distribution of translation difference:\n{}Distribution of rotation difference:\n{}",
         deciles(translations),
         deciles(rotations)
     ))?;
     for limit in [1.0, 0.1, 0.05, 0.01] {
         let share = errors.iter().filter(|e| e.0 < limit).count() as f64 / errors.len() as f64;
-        print(&format!("Fraction of translation difference smaller than {limit} m: {share}"))?;
+        console.print(&format!("Fraction of translation difference smaller than {limit} m: {share}"))?;
     }
-    Ok(Outcome::Done)
+    Ok(Completeness::Complete)
 }
 
 fn deciles(mut values: Vec<f64>) -> String {
@@ -124,7 +130,7 @@ fn deciles(mut values: Vec<f64>) -> String {
 }
 
 /// The pose of the child frame at each stamp of a transform to it.
-fn tf_poses(path: &PathBuf, flags: &Flags) -> Result<Vec<(Time, Rigid3)>, CliError> {
+fn tf_poses(path: &PathBuf, flags: &Flags) -> Result<Vec<(Time, Rigid3)>, CompatError> {
     let (parent, child) = (flags.value("tf_parent_frame"), flags.value("tf_child_frame"));
     let recording = open(path)?;
     let (mut tree, mut input) = (TfTree::new(), TfInput::new(""));

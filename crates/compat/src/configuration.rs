@@ -2,14 +2,19 @@
 
 use std::path::{Path, PathBuf};
 
-use portolan_config::flags::{Flags, KnownFlags};
-use portolan_config::lua::{Limits, evaluate_file, print_configuration};
+use portolan_config::lua::{self, Limits, evaluate_file};
 
-use crate::GlobalArgs;
-use crate::error::{CliError, Outcome};
-use crate::output::print;
+use crate::flags::{Flags, KnownFlags};
+use crate::{CompatError, Completeness, Console};
 
-pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
+/// Prints a configuration with all its includes.
+///
+/// # Errors
+/// If flags are wrong, or the configuration cannot be read or run.
+pub fn print_configuration(
+    arguments: &[String],
+    console: &mut dyn Console,
+) -> Result<Completeness, CompatError> {
     let flags = Flags::parse(
         arguments,
         &KnownFlags {
@@ -27,8 +32,10 @@ pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
     let directories: Vec<PathBuf> =
         flags.list("configuration_directories").into_iter().map(PathBuf::from).collect();
     let name = flags.required("configuration_basename")?;
-    let failed = |error: portolan_config::ConfigError| CliError::Failed(error.to_string());
+    let failed = |error: portolan_config::ConfigError| CompatError::Failed(error.to_string());
     let evaluation = evaluate_file(Path::new(name), &directories, Limits::default()).map_err(failed)?;
-    print(&print_configuration(&evaluation.table, Some(flags.value("subdictionary"))).map_err(failed)?)?;
-    Ok(Outcome::Done)
+    console.print(
+        &lua::print_configuration(&evaluation.table, Some(flags.value("subdictionary"))).map_err(failed)?,
+    )?;
+    Ok(Completeness::Complete)
 }
