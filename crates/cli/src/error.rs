@@ -115,10 +115,10 @@ impl From<PipelineError> for CliError {
     fn from(error: PipelineError) -> Self {
         match error {
             PipelineError::Setting(message) => Self::Usage(message),
-            PipelineError::NoScans if interrupt::interrupted() => {
+            PipelineError::NoScans(_) if interrupt::interrupted() => {
                 Self::Failed("interrupted before the first scan: nothing was written".to_owned())
             }
-            PipelineError::NoScans => Self::NoScans(error.to_string()),
+            PipelineError::NoScans(_) => Self::NoScans(error.to_string()),
             other => Self::Failed(other.to_string()),
         }
     }

@@ -25,7 +25,21 @@ pub fn watch(quiet: bool) {
     if let Err(error) = installed {
         tracing::warn!("Ctrl-C will not save anything: {error}");
     }
+    outlive_limits_of_files();
 }
+
+/// A file that would grow beyond what the system allows a process (`ulimit -f`) is an error of that file, as a full disk is: with a
+/// handler the signal does not end the process.
+#[cfg(unix)]
+fn outlive_limits_of_files() {
+    let handled = std::sync::Arc::new(AtomicBool::new(false));
+    if let Err(error) = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, handled) {
+        tracing::warn!("a limit on the size of files will end the program: {error}");
+    }
+}
+
+#[cfg(not(unix))]
+fn outlive_limits_of_files() {}
 
 /// Whether the user asked to stop.
 pub fn interrupted() -> bool {

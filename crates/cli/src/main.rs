@@ -9,6 +9,7 @@ mod interrupt;
 mod known_map;
 mod output;
 mod progress;
+mod replaced_inputs;
 mod suggest;
 
 use std::process::ExitCode;
@@ -67,10 +68,11 @@ impl GlobalArgs {
 
 fn main() -> ExitCode {
     let arguments = commands::compat::arguments(std::env::args_os());
-    let parsed =
-        command_line().try_get_matches_from(arguments).and_then(|found| Cli::from_arg_matches(&found));
-    let status = match parsed {
-        Ok(cli) => run(cli),
+    let status = match command_line().try_get_matches_from(arguments) {
+        Ok(found) => match Cli::from_arg_matches(&found) {
+            Ok(cli) => run(cli, &found),
+            Err(message) => show(&message),
+        },
         Err(message) => show(&suggest::with_nearest_verb(message)),
     };
     // Threads that read ahead may still hold some.
@@ -78,13 +80,15 @@ fn main() -> ExitCode {
     status.into()
 }
 
-fn run(cli: Cli) -> ExitStatus {
+fn run(cli: Cli, found: &clap::ArgMatches) -> ExitStatus {
     start_logging(&cli.global);
     keep_caught_panics_quiet();
     interrupt::watch(cli.global.quiet);
     // The pool of local SLAM; other work has pools of its own. An error says that there is one already.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(cli.global.thread_count()).build_global();
-    match commands::run(cli.command, &cli.global) {
+    let done = replaced_inputs::refuse(&command_line(), found)
+        .and_then(|()| commands::run(cli.command, &cli.global));
+    match done {
         // Whatever was saved, it is not all that was asked for.
         Ok(_) if interrupt::interrupted() => ExitStatus::Interrupted,
         Ok(outcome) => outcome.into(),

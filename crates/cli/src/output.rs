@@ -1,5 +1,6 @@
 //! Results on stdout and in files.
 
+use std::borrow::Cow;
 use std::io::Write;
 use std::path::Path;
 
@@ -18,7 +19,17 @@ use crate::progress::say;
 /// A stdout that takes it not: then it was not done.
 pub fn print(text: &str) -> Result<(), CliError> {
     let line_feed = if text.ends_with('\n') { "" } else { "\n" };
-    print_bytes(format!("{text}{line_feed}").as_bytes())
+    print_bytes(format!("{}{line_feed}", without_control(text)).as_bytes())
+}
+
+/// A text without what controls a terminal: names of frames and topics come from files that nobody vouches for.
+pub fn without_control(text: &str) -> Cow<'_, str> {
+    let controls = |c: char| c.is_control() && !matches!(c, '\n' | '\t' | '\r');
+    if !text.contains(controls) {
+        return Cow::Borrowed(text);
+    }
+    let shown = |c: char| if controls(c) { c.escape_default().collect() } else { String::from(c) };
+    Cow::Owned(text.chars().map(shown).collect())
 }
 
 /// Prints what was asked for.

@@ -3,6 +3,7 @@
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
+use crate::output::without_control;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// How often a line is printed when stderr is not a terminal.
@@ -67,5 +68,5 @@ impl Progress {
 
 /// A line on stderr. One that is closed or full ends nothing: there is nobody to tell.
 pub fn say(line: &str) {
-    let _ = std::io::stderr().lock().write_all(format!("{line}\n").as_bytes());
+    let _ = std::io::stderr().lock().write_all(format!("{}\n", without_control(line)).as_bytes());
 }

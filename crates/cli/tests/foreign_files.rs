@@ -91,6 +91,27 @@ fn refining_and_registering_overwrite_nothing_foreign() {
 }
 
 #[test]
+fn what_is_read_is_not_replaced() {
+    let place = Place::new();
+    place.map(0, &[]);
+    let map = text(&place.output().join("map.pbstream"));
+    let trajectory = text(&place.output().join("trajectory.tum"));
+    for (input, arguments) in [
+        (&map, vec!["evaluate", "generate", &map, "-o", &map]),
+        (&trajectory, vec!["evaluate", "loops", &map, &trajectory, "--csv", &trajectory]),
+        (&place.recording, vec!["check", &place.recording, "--picture", &place.recording]),
+        (&map, vec!["convert", &map, "-o", &map]),
+    ] {
+        let before = fs::read(input).unwrap();
+        let run = common::portolan_with_code(2, &arguments);
+        assert!(run.stderr.contains("is read, and would be replaced"), "{arguments:?}: {}", run.stderr);
+        assert!(fs::read(input).unwrap() == before, "{arguments:?}");
+    }
+    // A map may become a better one in its place.
+    common::portolan_with_code(0, &["edit", &map, "-o", &map, "--move", "1,0"]);
+}
+
+#[test]
 fn what_an_earlier_run_left_is_removed_and_said() {
     let place = Place::new();
     let at = |name: &str| place.output().join(name);

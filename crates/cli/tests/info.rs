@@ -72,3 +72,42 @@ fn what_is_neither_is_named() {
     assert!(portolan_with_code(1, &["info", &missing]).stderr.contains("missing.bag"));
     portolan_with_code(2, &["info"]);
 }
+
+#[test]
+fn damage_within_a_recording_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["a.bag", "a.mcap"] {
+        let path = simulated(folder.path(), name, &[]);
+        let whole = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &whole[..whole.len() / 2]).unwrap();
+        let run = portolan_with_code(3, &["info", &path]);
+        assert!(run.stdout.contains("lost:"), "{name}: {}", run.stdout);
+    }
+    let Some(log) = real("lidar2d/aces/aces.clf.bz2") else { return };
+    let whole = std::fs::read(log).unwrap();
+    let cut = common::text(&folder.path().join("cut.clf.bz2"));
+    std::fs::write(&cut, &whole[..whole.len() / 2]).unwrap();
+    portolan_with_code(3, &["info", &cut]);
+    // Its first block is damaged: nothing comes out.
+    std::fs::write(&cut, [&whole[..3000], &[0xff; 3], &whole[3003..]].concat()).unwrap();
+    let run = portolan_with_code(1, &["info", &cut]);
+    assert!(run.stderr.contains("damaged from its beginning"), "{}", run.stderr);
+}
+
+#[test]
+fn names_in_recordings_control_no_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = simulated(folder.path(), "a.bag", &[]);
+    let bytes = std::fs::read(&path).unwrap();
+    let frame = b"imu_link";
+    let mut wrong = bytes.clone();
+    for at in 0..bytes.len() - frame.len() {
+        if bytes[at..].starts_with(frame) {
+            wrong[at] = 0x1b;
+        }
+    }
+    assert!(wrong != bytes);
+    std::fs::write(&path, wrong).unwrap();
+    let run = common::portolan(&["info", &path]);
+    assert!(run.stdout.contains("mu_link") && !run.stdout.contains('\u{1b}'), "{}", run.stdout);
+}

@@ -105,6 +105,8 @@ fn pictures_of_maps() {
         let cropped = ["render", &path, "-o", &png, "--crop=-1,-1,1,1", "--resolution", "0.05", "--json"];
         assert_eq!(json(&portolan_with_code(0, &cropped).stdout)["height"], 40);
         portolan_with_code(2, &["render", &path, "-o", "map.jpg"]);
+        let run = portolan_with_code(2, &["render", &path, "-o", &png, "--crop=5000,5000,5010,5010"]);
+        assert!(run.stderr.contains("nothing of the map lies in the rectangle"), "{}", run.stderr);
         portolan_with_code(2, &["render", &path, "-o", &png, "--crop", "1,1,1,1"]);
     }
 }

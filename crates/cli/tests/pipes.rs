@@ -268,3 +268,27 @@ fn whoever_is_told_to_stop_leaves_nothing_behind() {
     );
     assert_eq!(stopped(folder, &["demo", "-o", "d"], 2500, 1), Some(130));
 }
+
+/// Runs the program under a limit of the shell.
+fn limited(limit: &str, arguments: &[&str]) -> Output {
+    let mut command = Command::new("sh");
+    command.args(["-c", &format!("ulimit {limit}; exec \"$@\""), "sh", PROGRAM]).args(arguments);
+    command.stdin(Stdio::null()).output().unwrap()
+}
+
+#[test]
+fn a_limit_on_the_size_of_files_is_an_error_of_the_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = common::text(&folder.path().join("large.bag"));
+    let run = limited("-f 64", &["simulate", "office", "--seconds", "10", "-o", &output, "-q"]);
+    expect(&run, 1);
+    assert!(!Path::new(&output).exists());
+    assert_eq!(left_in(folder.path()), Vec::<String>::new());
+}
+
+#[test]
+fn what_has_no_end_is_no_pose_graph() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = common::text(&folder.path().join("a.g2o"));
+    expect(&limited("-t 60", &["optimize", "/dev/urandom", "-o", &output]), 1);
+}

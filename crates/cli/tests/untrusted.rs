@@ -40,17 +40,52 @@ fn another_building_is_not_laid_over_the_known_one() {
     let (run, output) = mapped(&elsewhere, folder.path(), &[&from[..], &["--force"]].concat());
     assert_eq!(run.code, Some(4), "{} {}", run.stdout, run.stderr);
     assert!(output.join("map.pbstream").exists());
-    // A start in the middle of the known map says nothing better. Simulated offices look so much alike that the one above passes then:
-    // how often they do is measured in docs/experiments/2026-11-believing-places.md.
-    let start = [&from[..], &["--start", "0,0,0"]].concat();
-    let (run, _) = mapped(&office("3").0, folder.path(), &start);
-    assert_eq!(run.code, Some(4), "{} {}", run.stdout, run.stderr);
-    assert!(run.stdout.contains("scans do not fit it where --start says"), "{}", run.stdout);
-    assert!(run.stderr.contains("map.pbstream there is of an earlier run"), "{}", run.stderr);
-    // Far away nothing speaks against it.
+    // A start in the middle of the known map says nothing better.
+    for other in ["2", "3"] {
+        let start = [&from[..], &["--start", "0,0,0"]].concat();
+        let (run, _) = mapped(&office(other).0, folder.path(), &start);
+        assert_eq!(run.code, Some(4), "{} {}", run.stdout, run.stderr);
+        assert!(run.stdout.contains("NOT found in the known map: where --start says"), "{}", run.stdout);
+        assert!(run.stderr.contains("map.pbstream there is of an earlier run"), "{}", run.stderr);
+    }
+    // Far away nothing speaks for or against it.
     let (run, output) = mapped(&elsewhere, folder.path(), &[&from[..], &["--start", "500,0,0"]].concat());
+    assert_eq!(run.code, Some(3), "{} {}", run.stdout, run.stderr);
+    assert!(run.stdout.contains("nothing confirms") && output.join("map.pbstream").exists());
+}
+
+/// Of a walk through a building, seen by a lidar that sees less far than the rooms are wide.
+fn poor_walk(seed: &str, seconds: &str, range: &str) -> (String, String) {
+    let walk = ["--building-seed", "12", "--seed", seed, "--seconds", seconds];
+    simulated_once(&[&["office", "--beams", "60", "--range", range][..], &walk].concat())
+}
+
+#[test]
+fn a_wrong_start_in_a_poorly_seen_office_does_not_stay() {
+    let folder = tempfile::tempdir().unwrap();
+    let known = text(&folder.path().join("known/map.pbstream"));
+    portolan_with_code(
+        0,
+        &["map", &poor_walk("121", "120", "12").0, "-o", &text(&folder.path().join("known")), "-q"],
+    );
+    let (again, _) = poor_walk("125", "40", "4");
+    let start_of = |more: &[&str]| {
+        let (run, output) = mapped(&again, folder.path(), &[&["--from", &known, "--frozen"], more].concat());
+        let poses = std::fs::read_to_string(output.join("trajectory.tum")).unwrap();
+        let first: Vec<f64> =
+            poses.lines().next().unwrap().split(' ').map(|field| field.parse().unwrap()).collect();
+        (run, [first[1], first[2]])
+    };
+    let (run, right) = start_of(&[]);
     assert_eq!(run.code, Some(0), "{} {}", run.stdout, run.stderr);
-    assert!(run.stdout.contains("where --start says") && output.join("map.pbstream").exists());
+    let apart = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
+    for (x, y) in [(2.0, 0.6), (-4.8, -1.3), (9.6, 3.0)] {
+        let wrong = format!("--start={},{},0", right[0] + x, right[1] + y);
+        let (run, found) = start_of(&[&wrong]);
+        assert_eq!(run.code, Some(0), "{} {}", run.stdout, run.stderr);
+        assert!(run.stdout.contains("from where --start says"), "{}", run.stdout);
+        assert!(apart(found, right) < 0.3, "{found:?} {right:?}");
+    }
 }
 
 #[test]
@@ -76,6 +111,12 @@ fn a_merged_map_is_found_or_refused() {
     let report: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
     let merged = &report["merged"][0];
     assert!(merged["loop_closures"].as_u64() > Some(3), "{merged}");
+    // A loop closure that somebody adds is looked at, too.
+    let add = |pose: &str, code| {
+        let added = format!("--add-loop=0,0:0,3={pose}");
+        portolan_with_code(code, &["edit", &maps[0], "-o", &both, &added])
+    };
+    assert!(add("50,0,0", 3).stderr.contains("does NOT fit"));
     merge(&maps[1], &["--place", "0,0,0"], 0);
     merge(&maps[1], &["--place", "0,0,0", "--place", "0,0,0"], 2);
 }

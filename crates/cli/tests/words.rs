@@ -65,6 +65,37 @@ fn wrong_text_is_named_by_its_kind_too() {
 }
 
 #[test]
+fn texts_of_numbers_are_named_by_what_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| text(&folder.path().join(name));
+    let relations = "1.0 2.0 0.5 0.1 0.0 0.0 0.0 1.2\n";
+    for (content, kind) in [
+        ("1305031102.1 0 0 0 0 0 0 1\n", "a text of poses"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n", "a text of poses"),
+        ("0.5 1.5 2.5\n0.6 1.6 2.6\n", "a text of points"),
+    ] {
+        std::fs::write(at("numbers"), content).unwrap();
+        for verb in [vec!["map", &at("numbers"), "-o", &at("m")], vec!["check", &at("numbers")]] {
+            let run = portolan_with_code(1, &verb);
+            assert!(run.stderr.contains(kind), "{verb:?}: {}", run.stderr);
+        }
+    }
+    std::fs::write(at("numbers"), relations).unwrap();
+    let run = portolan_with_code(1, &["evaluate", "trajectory", &at("numbers"), &at("numbers")]);
+    assert!(run.stderr.contains("are these relations"), "{}", run.stderr);
+}
+
+#[test]
+fn scans_that_cannot_be_used_say_why() {
+    let folder = tempfile::tempdir().unwrap();
+    let (bag, out) = (simulated(folder.path(), "walk.bag", &[]), text(&folder.path().join("m")));
+    let blind = ["map", &bag, "-o", &out, "--set", "trajectory_builder_2d.min_range=11"];
+    let run =
+        portolan_with_code(1, &[&blind[..], &["--set", "trajectory_builder_2d.max_range=11.001"]].concat());
+    assert!(run.stderr.contains("half of their returns are farther than"), "{}", run.stderr);
+}
+
+#[test]
 fn what_is_quoted_of_files_is_short_and_controls_no_terminal() {
     let folder = tempfile::tempdir().unwrap();
     let path = text(&folder.path().join("a.tum"));
@@ -111,6 +142,10 @@ fn negative_numbers_are_refused_by_what_takes_none() {
         (vec!["optimize", "a.g2o", "-o", "b.g2o", "--iterations", "-1"], "-1 is not in 0"),
         (vec!["simulate", "office", "--seconds", "-3", "-o", "/none/a.bag"], "duration must be from 0.1"),
         (vec!["evaluate", "trajectory", "a.tum", "b.tum", "--rpe", "-1"], "expected seconds, more than 0"),
+        (
+            vec!["evaluate", "generate", "a.pbstream", "-o", "b", "--min-covered-distance", "nan"],
+            "expected a number, 0 or more",
+        ),
     ] {
         let run = portolan_with_code(2, &arguments);
         assert!(

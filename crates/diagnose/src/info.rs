@@ -89,15 +89,10 @@ pub fn info(
 ) -> Result<RecordingInfo, RecordingError> {
     let inventory = Inventory::of(recording, options)?;
     let indexed = recording.topics().iter().all(|t| t.count.is_some());
-    let (counts, range, mut issues) = match recording.time_range() {
-        Some(range) if indexed => {
-            let counts = recording.topics().into_iter().map(|t| (t.topic, t.count.unwrap_or(0))).collect();
-            let mut reader = recording.read(&|_| false)?;
-            // Where nothing is wanted this reads what leads to the messages, and tells whether all of that is whole.
-            while reader.next_message()?.is_some() {}
-            (counts, Some(range), reader.issues())
-        }
-        _ => count_messages(recording, progress)?,
+    let is_large = recording.size_bytes() > READ_WHOLE;
+    let (counts, range, mut issues) = match recording.time_range().filter(|_| indexed && is_large) {
+        Some(range) => by_index(recording, range)?.map_or_else(|| count_messages(recording, progress), Ok)?,
+        None => count_messages(recording, progress)?,
     };
     issues.extend(inventory.issues.iter().chain(&inventory.moving_issues).cloned());
     let duration = range.map_or(0.0, |(first, last)| last.seconds_since(first));
@@ -120,6 +115,18 @@ pub fn info(
         obstacle,
         issues,
     })
+}
+
+/// Smaller recordings are read whole, bytes: damage within them shows, and it takes a second.
+const READ_WHOLE: u64 = 256 << 20;
+
+/// What the index tells; none if it, or what leads to the messages, is damaged: then no more than reading all tells what is left.
+fn by_index(recording: &dyn Recording, range: (Time, Time)) -> Result<Option<Counts>, RecordingError> {
+    let counts = recording.topics().into_iter().map(|t| (t.topic, t.count.unwrap_or(0))).collect();
+    let mut reader = recording.read(&|_| false)?;
+    while reader.next_message()?.is_some() {}
+    let issues = reader.issues();
+    Ok(issues.is_empty().then_some((counts, Some(range), issues)))
 }
 
 type Counts = (BTreeMap<Arc<str>, u64>, Option<(Time, Time)>, Vec<Issue>);

@@ -16,6 +16,15 @@ pub enum EvaluationError {
         /// What is wrong and what is expected.
         reason: String,
     },
+    /// What should be rotations is none.
+    #[error(
+        "the last four numbers of {count} lines are no quaternion qx qy qz qw of length 1: are these relations (time1 time2 x y z roll \
+         pitch yaw), or another table?"
+    )]
+    NoQuaternions {
+        /// How many lines, more than half.
+        count: usize,
+    },
     /// A binary relations file is damaged.
     #[error("damaged relations file at byte {position}: {reason}")]
     BadRelations {

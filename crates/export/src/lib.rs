@@ -23,7 +23,7 @@ pub use html::{HtmlPage, Mark, escape, marked_picture, scale_mark};
 pub use map_lines::{constraint_lines, trajectory_lines};
 pub use overlay::{ConstraintLine, TrajectoryLine};
 pub use path::{ColouredLine, draw_path};
-pub use picture::{MAX_EDGE, MapContent, Picture, PictureError, PictureOptions, draw_map};
+pub use picture::{MAX_EDGE, MapContent, Picture, PictureError, PictureOptions, draw_map, extent};
 pub use plot::{PlotBars, PlotLabels, PlotLine, bar_plot, line_plot};
 pub use png_file::{write_grey_map, write_picture};
 pub use point_picture::{PointImage, PointView, encode_grey};

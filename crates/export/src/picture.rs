@@ -209,7 +209,11 @@ fn with_margin(area: MapArea) -> MapArea {
 }
 
 /// The part of the map that holds all textures and trajectories.
-fn extent(content: &MapContent) -> Result<MapArea, PictureError> {
+/// The rectangle that holds submaps and trajectories.
+///
+/// # Errors
+/// There is nothing in it.
+pub fn extent(content: &MapContent) -> Result<MapArea, PictureError> {
     let corners = content.textures.iter().flat_map(|placed| {
         let texture = &placed.texture;
         let map_from_slice = placed.map_from_submap * texture.submap_from_slice;

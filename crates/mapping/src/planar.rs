@@ -1,7 +1,9 @@
 //! The plane as a space to map in.
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
-use portolan_geometry::{Quaternion, Rigid2, Rigid3, Vector2, Vector3, embed_3d, project_2d, to_f32};
+use portolan_geometry::{
+    Dimension, Quaternion, Rigid2, Rigid3, Vector2, Vector3, embed_3d, project_2d, to_f32,
+};
 use portolan_grids::{CellBox, Grid2d, ScanAgreement, match_spread, mean_of_solid_cells, scan_agreement};
 use portolan_local_slam::{AT_WRONG_PLACES, LocalSlam2d, LocalSlamExtras, Planar};
 use portolan_matching::{FastCorrelativeMatcher2d, GradientMatcher2d};
@@ -60,7 +62,7 @@ impl Space for Planar {
     type Matcher = PlanarMatcher;
     type LocalSlam = LocalSlam2d;
 
-    const OPTIMIZES_WITH_IMU: bool = false;
+    const DIMENSION: Dimension = Dimension::Two;
     const STRETCH_METRES: f64 = 4.0;
 
     fn mapper_work() -> &'static MapperWork<Self> {

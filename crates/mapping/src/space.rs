@@ -1,7 +1,7 @@
 //! What differs between 2D and 3D, so that the pose graph exists once.
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
-use portolan_geometry::{Point3f, Quaternion, Rigid3, Vector2, Vector3};
+use portolan_geometry::{Dimension, Point3f, Quaternion, Rigid3, Vector2, Vector3};
 use portolan_grids::ScanAgreement;
 use portolan_optimization::{OptimizationData, OptimizationSummary};
 use portolan_sensor::SensorId;
@@ -101,8 +101,11 @@ pub trait Space: LocalSpace {
     /// What a mapper in this space does.
     fn mapper_work() -> &'static MapperWork<Self>;
 
+    /// Plane or space.
+    const DIMENSION: Dimension;
+
     /// Whether the optimisation uses IMU samples, so that they are kept.
-    const OPTIMIZES_WITH_IMU: bool;
+    const OPTIMIZES_WITH_IMU: bool = matches!(Self::DIMENSION, Dimension::Three);
 
     /// Whole maps are searched for scans so far along the way to either side of a node, metres.
     const STRETCH_METRES: f64;

@@ -1,7 +1,7 @@
 //! Space itself as a space to map in.
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
-use portolan_geometry::{Point3f, Quaternion, Rigid3, Vector2, is_valid_pose};
+use portolan_geometry::{Dimension, Point3f, Quaternion, Rigid3, Vector2, is_valid_pose};
 use portolan_grids::{SOLID_VOXEL, ScanAgreement};
 use portolan_local_slam::{LocalSlam3d, LocalSlam3dSettings, Spatial};
 use portolan_matching::{
@@ -31,7 +31,7 @@ impl Space for Spatial {
     type Matcher = SpatialMatcher;
     type LocalSlam = LocalSlam3d;
 
-    const OPTIMIZES_WITH_IMU: bool = true;
+    const DIMENSION: Dimension = Dimension::Three;
     /// Of the stretch of a car, which makes a node each metre or two, as many scans as of a walker.
     const STRETCH_METRES: f64 = 12.0;
     /// Building one takes 70 ms, keeping one 10 MB (submap of a hall of 30 m by 20 m).

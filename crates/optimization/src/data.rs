@@ -91,6 +91,8 @@ pub struct OptimizationData {
     pub sensors: BTreeMap<TrajectoryId, TrajectorySensors>,
     /// Fixed-frame origins.
     pub fixed_frame_origins: BTreeMap<TrajectoryId, FixedFrameOrigin>,
+    /// Where somebody said that trajectories start: their first nodes and the poses of these.
+    pub told_starts: BTreeMap<NodeId, Rigid3>,
     /// Trajectories that are not moved.
     pub frozen: BTreeSet<TrajectoryId>,
     /// Whether biases of IMUs are estimated and taken away, and fixes weighted by how far they scatter; Cartographer
@@ -136,7 +138,8 @@ impl OptimizationData {
         let landmarks =
             self.landmarks.values_mut().filter_map(|landmark| landmark.map_from_landmark.as_mut());
         let nodes = self.nodes.values_mut().map(|node| &mut node.map_from_node);
-        for pose in self.submaps.values_mut().chain(nodes).chain(landmarks).chain(origins) {
+        let starts = self.told_starts.values_mut();
+        for pose in self.submaps.values_mut().chain(nodes).chain(landmarks).chain(origins).chain(starts) {
             *pose = moved(pose, shift);
         }
     }
@@ -167,6 +170,7 @@ impl OptimizationData {
             return;
         }
         self.open.remove(&node_id);
+        self.told_starts.remove(&node_id);
         let trajectory_id = node_id.trajectory_id;
         let previous =
             self.nodes.range(NodeId::new(trajectory_id, 0)..node_id).next_back().map(|(_, n)| n.time);

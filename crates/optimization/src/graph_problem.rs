@@ -71,6 +71,10 @@ pub(super) trait ProblemSpace {
     fn between_nodes(a: &OptimizationNode, b: &OptimizationNode, a_from_b_tracking: &Rigid3) -> Rigid3;
 }
 
+/// What a start that somebody told weighs, 1/m and 1/rad: it is right to some metres and some ten degrees, and tells the place where
+/// loop closures leave it open. Any loop closure weighs a thousand times as much.
+const TOLD_START: Weights = (75.0, 1e3);
+
 /// Weights of translation and rotation.
 pub(super) type Weights = (f64, f64);
 
@@ -201,6 +205,16 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
                 continue;
             }
             self.add_between(variables, &constraint.submap_from_node, weights, loss);
+        }
+    }
+
+    /// First nodes of trajectories lie about where somebody said.
+    pub fn add_told_starts(&mut self, data: &OptimizationData) {
+        for (id, pose) in &data.told_starts {
+            let is_frozen = data.frozen.contains(&id.trajectory_id);
+            let Some(node) = self.nodes.get(id).copied().filter(|_| !is_frozen) else { continue };
+            let told = S::add_pose(&mut self.problem, pose, Role::Frozen, self.options);
+            self.add_between([told, node], &Rigid3::identity(), TOLD_START, Loss::None);
         }
     }
 

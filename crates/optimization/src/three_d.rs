@@ -44,6 +44,7 @@ pub fn optimize_3d(
     }
     let mut problem = SpatialProblem::new(data, options);
     problem.graph.add_constraints(constraints, data);
+    problem.graph.add_told_starts(data);
     problem.graph.add_landmarks(data);
     problem.estimate_imu_biases(data);
     problem.add_consecutive_nodes(data);

@@ -21,6 +21,7 @@ pub fn optimize_2d(
     }
     let mut problem = GraphProblem::<InPlane>::new(data, options);
     problem.add_constraints(constraints, data);
+    problem.add_told_starts(data);
     problem.add_landmarks(data);
     for (first, second) in data.nodes.iter().zip(data.nodes.iter().skip(1)) {
         if follows(first.0, second.0) && !data.frozen.contains(&first.0.trajectory_id) {
@@ -106,5 +107,71 @@ impl ProblemSpace for InPlane {
 
     fn between_nodes(a: &OptimizationNode, b: &OptimizationNode, a_from_b_tracking: &Rigid3) -> Rigid3 {
         a.gravity_alignment * a_from_b_tracking * b.gravity_alignment.inverse()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use portolan_geometry::{Time, Vector3};
+
+    use super::*;
+    use crate::{ConstraintTag, NodeId, OpenShift, SubmapId, TrajectoryId};
+
+    const KNOWN: TrajectoryId = TrajectoryId(0);
+    const NEW: TrajectoryId = TrajectoryId(1);
+
+    fn relate(submap: TrajectoryId, node: NodeId, measured: Rigid3, open: Option<OpenShift>) -> Constraint {
+        let is_loop = submap != node.trajectory_id;
+        Constraint {
+            submap_id: SubmapId::new(submap, 0),
+            node_id: node,
+            submap_from_node: measured,
+            translation_weight: if is_loop { 1.1e4 } else { 500.0 },
+            rotation_weight: if is_loop { 1e5 } else { 1600.0 },
+            tag: if is_loop { ConstraintTag::InterSubmap } else { ConstraintTag::IntraSubmap },
+            open,
+            score: None,
+        }
+    }
+
+    /// Where the first of two nodes, 2 m apart, comes to lie in a known map that matches leave open along lines which meet 30 m away, if
+    /// somebody said that it lies 1 m from where it does.
+    fn first_node(is_told: bool) -> Rigid3 {
+        let mut data = OptimizationData::default();
+        data.frozen.insert(KNOWN);
+        data.submaps.insert(SubmapId::new(KNOWN, 0), Rigid3::identity());
+        let told = Rigid3::translation(1.0, 0.3, 0.0);
+        data.submaps.insert(SubmapId::new(NEW, 0), told);
+        let mut constraints = Vec::new();
+        for index in 0..2 {
+            let local_from_node = Rigid3::translation(2.0 * f64::from(index), 0.0, 0.0);
+            let id = NodeId::new(NEW, index);
+            let node = OptimizationNode {
+                time: Time::from_unix_seconds(f64::from(index)),
+                local_from_node,
+                map_from_node: told * local_from_node,
+                gravity_alignment: portolan_geometry::Quaternion::identity(),
+            };
+            data.nodes.insert(id, node);
+            constraints.push(relate(NEW, id, local_from_node, None));
+            let tilt = 0.02 * f64::from(index);
+            let direction = Vector3::new(1.0, tilt, 0.0).normalize();
+            let seen = Rigid3::translation(2.0 * f64::from(index), -0.6 * f64::from(index), 0.0);
+            constraints.push(relate(KNOWN, id, seen, Some(OpenShift { direction })));
+        }
+        if is_told {
+            data.told_starts.insert(NodeId::new(NEW, 0), told);
+        }
+        optimize_2d(&mut data, &constraints, &OptimizationProblemOptions::default());
+        data.nodes.get(&NodeId::new(NEW, 0)).map(|node| node.map_from_node).unwrap()
+    }
+
+    #[test]
+    fn a_told_start_holds_what_matches_leave_open() {
+        let [told, free] = [true, false].map(first_node);
+        let x = |pose: &Rigid3| pose.translation.vector.x;
+        assert!((x(&told) - 1.0).abs() < 0.5, "{told:?}");
+        assert!(told.translation.vector.y.abs() < 0.35, "{told:?}");
+        assert!((free.translation.vector.x - 1.0).abs() > 5.0, "{free:?}");
     }
 }

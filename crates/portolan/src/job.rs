@@ -125,8 +125,8 @@ impl MapRequest {
 /// What came of a recording.
 #[derive(Clone, Debug)]
 pub struct Finished {
-    /// The files, in the order in which they were written. Unless the map is to be trusted
-    /// ([`MappingSummary::is_trusted`]) it is not among them, or it was forced.
+    /// The files, in the order in which they were written. If the map is refused
+    /// ([`MappingSummary::is_refused`]) it is not among them, unless it was forced.
     pub files: Vec<PathBuf>,
     /// What was mapped, and how well.
     pub summary: MappingSummary,
@@ -304,7 +304,7 @@ impl<'a> Job<'a> {
         let mut progress = |state: &PipelineProgress| observe(&Event::Mapping(state)).is_continue();
         let (ingest, preparation) = (&self.request.ingest, self.preparation.clone());
         let mapped = map_recording(self.recording, ingest, preparation, known, settings, &mut progress);
-        if let Err(PipelineError::NoScans) = mapped {
+        if let Err(PipelineError::NoScans(_)) = mapped {
             // Nothing would be there to go on with.
             self.end_journal(false, observe);
         }
@@ -329,7 +329,7 @@ impl<'a> Job<'a> {
 
     /// Whether the result can be used, or is wanted all the same.
     fn is_wanted<S: Space>(&self, mapped: &MappedRecording<S>) -> bool {
-        let is_found = Localisation::of(mapped).is_none_or(|found| found.is_trusted());
+        let is_found = Localisation::of(mapped).is_none_or(|found| !found.is_refused());
         self.request.force || is_found && mapped.is_sound()
     }
 

@@ -11,9 +11,11 @@ mod requested;
 mod silence;
 mod soundness;
 pub mod trajectory_file;
+mod unusable_scans;
 
 pub use automatic::{Lidar, Sensors, settings_for};
 pub use requested::{LIFELONG, RequestedOptions};
+pub use unusable_scans::{ScanTally, UnusableScans};
 
 pub use portolan_atomic_file as atomic_file;
 pub use portolan_bunzip2 as bunzip2;

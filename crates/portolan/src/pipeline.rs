@@ -11,8 +11,8 @@ use portolan_ingest::{
 };
 use portolan_issue::{IssueKind, IssueLog};
 use portolan_mapping::{
-    BackendProgress, DegenerateInterval, EndedTrajectory, InitialTrajectoryPose, Loss, Map, Mapper,
-    MapperError, MapperSettings, MatchingResult, PoseGraph, Space, TrajectoryId, of_trajectory,
+    BackendProgress, Consistency, DegenerateInterval, EndedTrajectory, InitialTrajectoryPose, Loss, Map,
+    Mapper, MapperError, MapperSettings, MatchingResult, PoseGraph, Space, TrajectoryId, of_trajectory,
 };
 use portolan_numeric::LatencyHistogram;
 use portolan_recall::Memory;
@@ -23,6 +23,7 @@ use portolan_sensor::SensorId;
 use crate::automatic;
 use crate::silence::Silences;
 use crate::soundness::sound_poses;
+use crate::unusable_scans::{ScanTally, UnusableScans};
 
 /// Why a recording could not be mapped.
 #[derive(Debug, thiserror::Error)]
@@ -40,8 +41,8 @@ pub enum PipelineError {
     #[error("{0}")]
     Setting(String),
     /// Nothing was mapped.
-    #[error("not a single scan could be used; `portolan check` says what is wrong with the recording")]
-    NoScans,
+    #[error("{0}; see `portolan check`, which looks at the recording as it is")]
+    NoScans(Box<UnusableScans>),
 }
 
 /// How far mapping is.
@@ -81,6 +82,8 @@ pub struct MappedRecording<S: Space> {
     pub recorded_times: BTreeMap<Time, Time>,
     /// The scans, if they were to be kept.
     pub kept_scans: KeptScans,
+    /// How its scans agree with maps that were known before.
+    pub in_known_maps: Consistency,
     /// Whether it was stopped before the end of the recording, or before the map was finished.
     pub interrupted: bool,
 }
@@ -387,6 +390,7 @@ pub fn map_recording<S: Space>(
     let sensors: BTreeSet<SensorId> = ingestion.sensors().into_iter().collect();
     let trajectory_id = mapper.add_trajectory(&sensors, initial_pose)?;
     let mut silences = Silences::default();
+    let mut tally = ScanTally::default();
     let mut kept_scans = keep_scans_in.as_deref().map_or_else(KeptScans::default, KeptScans::in_folder);
     let (mut scans, mut interrupted) = (0, false);
     let mut take = |matched: Vec<MatchingResult<S>>| {
@@ -399,6 +403,7 @@ pub fn map_recording<S: Space>(
     let mut span: Option<(Time, Time)> = None;
     let mut latest = None;
     while let Some((sensor_id, measurement)) = ingestion.next_measurement()? {
+        tally.add(&measurement);
         let time = measurement.time();
         let (first, last) = span.get_or_insert((time, time));
         *last = time.max(*last);
@@ -427,7 +432,9 @@ pub fn map_recording<S: Space>(
         goes_on
     })?;
     if scans == 0 || map.graph.state().nodes.is_empty() {
-        return Err(PipelineError::NoScans);
+        let mut issues = mapping_issues;
+        issues.merge(&ingestion.issues());
+        return Err(PipelineError::NoScans(Box::new(tally.verdict(&issues))));
     }
     map.graph.move_by(&frame.origin());
     let mut unused_fixes = 0;
@@ -445,7 +452,7 @@ pub fn map_recording<S: Space>(
     issues.append(&mapping_issues);
     issues.count(IssueKind::FixesNotUsed, unused_fixes as u64);
     issues.count(IssueKind::ScansNotKept, u64::from(kept_scans.failure().is_some()));
-    Ok(MappedRecording {
+    let mut mapped = MappedRecording {
         map,
         trajectory_id,
         plan,
@@ -457,6 +464,9 @@ pub fn map_recording<S: Space>(
         losses,
         recorded_times: ingestion.recorded_times().clone(),
         kept_scans,
+        in_known_maps: Consistency::default(),
         interrupted,
-    })
+    };
+    mapped.in_known_maps = mapped.map.graph.consistency_with_others(&mapped.pieces().into_iter().collect());
+    Ok(mapped)
 }

@@ -18,7 +18,7 @@ const SUPPORTED: &str = "supported are ROS 1 bags (format 2.0), ROS 2 bags (MCAP
     Ouster lidars, folders of KITTI, and CARMEN and CoreSLAM logs";
 
 /// How much of a file is looked at to tell its format.
-const PREFIX_BYTES: usize = 64;
+const PREFIX_BYTES: usize = 256;
 
 /// Opens a recording: a bag, an MCAP file, an SQLite database of ROS 2, a text log, any of them compressed
 /// as a whole, a network capture, a folder of KITTI, or a folder with the files of one recording. Extensions
@@ -236,12 +236,42 @@ fn io_error(path: &Path, source: io::Error) -> RecordingError {
     RecordingError::Io { path: path.to_owned(), source }
 }
 
+/// What a text of numbers is likely to be, by how many stand in its first line.
+fn kind_of_numbers(start: &[u8]) -> Option<&'static str> {
+    let text = std::str::from_utf8(start).unwrap_or_default();
+    let mut lines = text.split_inclusive('\n').filter(|line| line.ends_with('\n') && !line.starts_with('#'));
+    let is_separator = |c: char| c.is_ascii_whitespace() || c == ',' || c == ';';
+    let mut numbers = lines.next()?.split(is_separator).filter(|word| !word.is_empty());
+    let count = numbers.clone().count();
+    match numbers.all(|word| word.parse::<f64>().is_ok()).then_some(count)? {
+        8 | 12 => {
+            Some("a text of poses: `portolan convert` and `portolan evaluate trajectory` read trajectories")
+        }
+        3..=7 => Some("a text of points: `portolan register` and `portolan evaluate cloud` read clouds"),
+        _ => None,
+    }
+}
+
+/// What is wrong with a compressed file that is no recording: it is damaged from its beginning, or it holds something else.
+fn compressed(path: &Path, prefix: &[u8]) -> String {
+    let inner =
+        Wrapper::sniff(prefix).and_then(|wrapper| wrapped_prefix(path, wrapper).ok()).unwrap_or_default();
+    match unwanted_kind_of(&inner).or_else(|| kind_of_numbers(&inner)) {
+        _ if inner.is_empty() => {
+            "it is compressed, and damaged from its beginning: nothing of it can be unpacked; take an undamaged copy".to_owned()
+        }
+        Some(kind) => format!("it is compressed, and unpacked it is {kind}"),
+        None => "it is compressed, and unpacked its content is of no known format".to_owned(),
+    }
+}
+
 fn unknown(path: &Path, prefix: &[u8]) -> RecordingError {
     let found = match prefix {
         prefix if prefix.starts_with(b"version https://git-lfs") => {
             "it is only the pointer of a git LFS file (run `git lfs pull`)".to_owned()
         }
-        prefix => match unwanted_kind_of(prefix) {
+        prefix if Wrapper::sniff(prefix).is_some() => compressed(path, prefix),
+        prefix => match unwanted_kind_of(prefix).or_else(|| kind_of_numbers(prefix)) {
             Some(kind) => format!("it is {kind}"),
             None => "its content is of no known format".to_owned(),
         },

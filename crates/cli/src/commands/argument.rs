@@ -38,6 +38,12 @@ pub fn seconds(text: &str) -> Result<f64, String> {
     seconds.ok_or_else(|| format!("expected seconds, 0 or more, not \"{text}\""))
 }
 
+/// A limit: a number that is 0 or more.
+pub fn not_negative(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|number| number.is_finite() && *number >= 0.0);
+    number.ok_or_else(|| format!("expected a number, 0 or more, not \"{text}\""))
+}
+
 /// A length in metres: pixels and voxels of more than a thousand kilometres show nothing.
 pub fn positive_metres(text: &str) -> Result<f64, String> {
     let metres = text.parse::<f64>().ok().filter(|metres| *metres > 0.0 && *metres <= 1e6);

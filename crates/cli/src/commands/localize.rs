@@ -147,8 +147,8 @@ pub fn run(args: &LocalizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError
         save_map: save_map(args, folder.path())?,
         threads: global.threads,
     };
-    let saving = Saving::begin();
-    let localized = localize_with_progress(recording.as_ref(), &request, global);
+    let mut saving = None;
+    let localized = localize_with_progress(recording.as_ref(), &request, &mut saving, global);
     let localized = localized.map_err(|error| nothing_left(error.into(), recording.as_ref(), &args.cut))?;
     let seconds = begin.elapsed().as_secs_f64();
     let files = write_localized(&localized, &folder, seconds, &mut remarks(global))?;
@@ -249,18 +249,21 @@ fn start(args: &LocalizeArgs) -> Result<Option<Start>, CliError> {
     Ok(Some(Start::At(StartPose { map_from_tracking: told, sigma_metres, sigma_radians })))
 }
 
+/// From the first measurement on there is something worth saving.
 fn localize_with_progress(
     recording: &dyn Recording,
     request: &LocalizeRequest,
+    saving: &mut Option<Saving>,
     global: &GlobalArgs,
 ) -> Result<LocalizedRecording, JobError> {
     let mut progress = Progress::start("localising", recording.size_bytes(), global.quiet);
     let mut tell = remarks(global);
     let localized = localize(recording, request, &mut |event| -> ControlFlow<()> {
-        if let Event::Localizing { position_bytes, total_bytes, state } = event
-            && progress.is_due()
-        {
-            progress.update(*position_bytes, *total_bytes, state.to_string());
+        if let Event::Localizing { position_bytes, total_bytes, state } = event {
+            saving.get_or_insert_with(Saving::begin);
+            if progress.is_due() {
+                progress.update(*position_bytes, *total_bytes, state.to_string());
+            }
         }
         tell(event)
     });

@@ -8,7 +8,7 @@ mod words;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-use portolan::job::{Event, Job, MapRequest, MappingSummary, Remark};
+use portolan::job::{Event, Job, MapRequest, Remark};
 use portolan::{LIFELONG, RequestedOptions};
 use portolan_config::{Engine, Loader, Options};
 use portolan_geometry::Duration;
@@ -196,9 +196,9 @@ pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let finished = run_job(&job, recording.as_ref(), global);
     let summary = finished.map_err(|error| nothing_left(error, recording.as_ref(), &args.cut))?.summary;
     Ok(match summary {
-        MappingSummary { lost_data: true, .. } if summary.is_trusted() => Outcome::DataLost,
-        _ if summary.is_trusted() => Outcome::Done,
-        _ => Outcome::Untrusted,
+        _ if summary.is_refused() => Outcome::Untrusted,
+        _ if summary.is_partial() => Outcome::DataLost,
+        _ => Outcome::Done,
     })
 }
 

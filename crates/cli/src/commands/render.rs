@@ -4,7 +4,8 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use portolan_export::{
-    MapContent, PictureOptions, constraint_lines, draw_map, trajectory_lines, write_grey_map, write_picture,
+    MapContent, PictureOptions, constraint_lines, draw_map, extent, trajectory_lines, write_grey_map,
+    write_picture,
 };
 use portolan_mapfile::{
     ImageName, MapArea, MapTextures, PaintOptions, is_ros_map_yaml_of, load_textures, sum_evidence,
@@ -99,6 +100,7 @@ pub fn run(args: &RenderArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
     let graph = reader.pose_graph().clone();
     let mut loaded = load_textures(&mut reader).map_err(failed)?;
     choose(args, &mut loaded, &graph)?;
+    refuse_empty_crop(args, &loaded)?;
     let mut report = match kind {
         Kind::Picture => draw(args, &loaded, &graph)?,
         Kind::Grey | Kind::Ros => paint_map(args, &loaded, kind)?,
@@ -189,6 +191,21 @@ fn choose(args: &RenderArgs, loaded: &mut MapTextures, graph: &PoseGraph) -> Res
     loaded.textures.retain(|t| wanted(&t.id));
     loaded.skipped.retain(|(id, _)| wanted(id));
     Ok(())
+}
+
+/// Refuses a rectangle in which nothing of the map lies: its picture would be empty.
+fn refuse_empty_crop(args: &RenderArgs, loaded: &MapTextures) -> Result<(), CliError> {
+    let content = MapContent { textures: &loaded.textures, trajectories: &[], constraints: &[] };
+    let (Some(crop), Ok(map)) = (&args.crop, extent(&content)) else { return Ok(()) };
+    let is_apart =
+        crop.max_x < map.min_x || crop.min_x > map.max_x || crop.max_y < map.min_y || crop.min_y > map.max_y;
+    if !is_apart {
+        return Ok(());
+    }
+    let MapArea { min_x, min_y, max_x, max_y } = map;
+    Err(CliError::Usage(format!(
+        "nothing of the map lies in the rectangle of --crop; the map reaches from {min_x:.1},{min_y:.1} to {max_x:.1},{max_y:.1} m"
+    )))
 }
 
 fn draw(args: &RenderArgs, loaded: &MapTextures, graph: &PoseGraph) -> Result<Report, CliError> {

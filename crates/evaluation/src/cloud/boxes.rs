@@ -37,6 +37,11 @@ impl Shape for SolidBox {
     fn distance(&self, point: [f64; 3]) -> f64 {
         self.surface_distance(point)
     }
+
+    fn numbers(&self) -> [f64; 9] {
+        let ([a, b, c], [d, e, f]) = (self.low, self.high);
+        [a, b, c, d, e, f, 0.0, 0.0, 0.0]
+    }
 }
 
 /// Reads boxes, one a line: `x0,y0,z0,x1,y1,z1` in metres; lines that begin with `#` are skipped.

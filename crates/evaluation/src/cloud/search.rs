@@ -7,6 +7,9 @@ pub(crate) trait Shape {
 
     /// Distance of a point to its surface, metres.
     fn distance(&self, point: [f64; 3]) -> f64;
+
+    /// The numbers that make it: shapes with the same ones are the same.
+    fn numbers(&self) -> [f64; 9];
 }
 
 /// Most shapes of a leaf.
@@ -29,8 +32,11 @@ pub(crate) struct ShapeTree<S> {
 }
 
 impl<S: Shape> ShapeTree<S> {
-    /// Sorts shapes into a tree.
+    /// Sorts shapes into a tree. Of equal ones, which no tree tells apart, one stays.
     pub fn new(mut shapes: Vec<S>) -> Self {
+        let key = |shape: &S| shape.numbers().map(f64::to_bits);
+        shapes.sort_by_cached_key(key);
+        shapes.dedup_by_key(|shape| key(shape));
         let mut nodes = Vec::new();
         if !shapes.is_empty() {
             build(&mut shapes, 0, &mut nodes);
@@ -127,6 +133,8 @@ mod tests {
             let all = boxes.iter().map(|b| b.surface_distance(point)).fold(f64::INFINITY, f64::min);
             assert!((tree.distance(point) - all).abs() < 1e-12);
         }
+        let twice = ShapeTree::new([boxes.clone(), boxes].concat());
+        assert_eq!((twice.shapes.len(), twice.nodes.len()), (tree.shapes.len(), tree.nodes.len()));
         assert!(ShapeTree::<SolidBox>::new(Vec::new()).distance([0.0; 3]).is_infinite());
         assert!(tree.distance([f64::NAN; 3]).is_infinite());
     }

@@ -61,6 +61,10 @@ impl Shape for Triangle {
         let point = Vector3::from(point);
         (self.nearest(&point) - point).norm()
     }
+
+    fn numbers(&self) -> [f64; 9] {
+        std::array::from_fn(|k| self.0[k / 3][k % 3])
+    }
 }
 
 #[cfg(test)]

@@ -31,6 +31,9 @@ pub fn read_tum(reader: impl BufRead) -> Result<(Trajectory, TrajectoryRepairs),
             poses.push(TimedPose { time, map_from_tracking });
         }
     }
+    if 2 * repairs.renormalized_quaternions > poses.len() {
+        return Err(EvaluationError::NoQuaternions { count: repairs.renormalized_quaternions });
+    }
     let (trajectory, disorder) = Trajectory::new(poses);
     Ok((trajectory, both(repairs, disorder)))
 }

@@ -2,8 +2,9 @@
 
 use portolan_config::ConstraintBuilderOptions;
 use portolan_geometry::{Dimension, Rigid3, rotation_angle};
+use portolan_grids::ScanAgreement;
 use portolan_issue::IssueLog;
-use portolan_mapping::{MatchAcceptance, NodeData, Planar, SearchRegion, Spatial};
+use portolan_mapping::{MatchAcceptance, NodeData, Planar, SearchRegion, Space, Spatial};
 use serde::Serialize;
 
 use super::{EditError, MapDraft};
@@ -82,6 +83,27 @@ impl MapDraft {
         let off = guess.inverse() * found.submap_from_node;
         let off = (off.translation.vector.norm(), rotation_angle(&off));
         Ok(FoundLoop { score: found.score, position: [t.x, t.y, t.z], off, submap_from_node })
+    }
+
+    /// How the scan of a node agrees with a submap where somebody says that it was taken; none in 3D, and where the scan or the grid
+    /// is not in the file.
+    ///
+    /// # Errors
+    /// Either is not there or cannot be read.
+    pub fn judge_loop(
+        &self,
+        submap: IdInFile,
+        node: IdInFile,
+        submap_from_node: &Rigid3,
+    ) -> Result<Option<ScanAgreement>, EditError> {
+        self.require_parts(submap, node)?;
+        if self.dimension == Some(Dimension::Three) {
+            return Ok(None);
+        }
+        let (Some(grid), Some(scan)) = self.load_pair::<Planar>(submap, node)? else { return Ok(None) };
+        let pose = Planar::graph_pose(submap_from_node, &scan.gravity_alignment);
+        let nothing = ScanAgreement { explained: 0.0, in_free_space: 0.0, through_solid: 0.0 };
+        Ok(Some(Planar::agreement(&grid, &scan, &pose).unwrap_or(nothing)))
     }
 
     /// Where the node is in the submap by the poses of the map.

@@ -262,11 +262,12 @@ impl<S: Space> PoseGraph<S> {
         let newest = self.problem.nodes.iter().next_back().map(|(_, node)| node.time);
         self.localisation.placed_at = self.localisation.placed_at.or(newest);
         // The later part moves, unless only that one is frozen.
-        if holds_still(self, later) && !holds_still(self, earlier) {
-            self.move_part(earlier, &earlier_from_later.inverse());
-        } else {
-            self.move_part(later, &earlier_from_later);
-        }
+        let (moved, by) = match holds_still(self, later) && !holds_still(self, earlier) {
+            true => (earlier, earlier_from_later.inverse()),
+            false => (later, earlier_from_later),
+        };
+        self.move_part(moved, &by);
+        self.placed_parts.extend(self.state.connectivity.members(moved));
         for waiting in agreed {
             self.take(waiting.constraint);
         }

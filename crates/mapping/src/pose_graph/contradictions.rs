@@ -1,6 +1,6 @@
 //! Loop closures that all others together contradict.
 
-use portolan_geometry::{Rigid3, rotation_angle};
+use portolan_geometry::{Dimension, Rigid3, rotation_angle};
 use portolan_numeric::median;
 
 use super::PoseGraph;
@@ -37,7 +37,10 @@ impl<S: Space> PoseGraph<S> {
         if translations.len() < MIN_LOOP_CLOSURES {
             return 0;
         }
-        let (metres, radians) = if S::OPTIMIZES_WITH_IMU { MIN_IN_SPACE } else { MIN_IN_PLANE };
+        let (metres, radians) = match S::DIMENSION {
+            Dimension::Two => MIN_IN_PLANE,
+            Dimension::Three => MIN_IN_SPACE,
+        };
         let translation_limit = metres.max(TIMES_MEDIAN * median(&mut translations).unwrap_or(0.0));
         let rotation_limit = radians.max(TIMES_MEDIAN * median(&mut rotations).unwrap_or(0.0));
         let mut errors = errors.iter();

@@ -50,9 +50,8 @@ impl<S: Space> PoseGraph<S> {
             }
             let travel = TravelGraph::new(&self.state, &self.ways);
             let loops = self.loop_search();
-            let min_explained = EXPLAINED_OF_USUAL * loops.acceptance.min_explained;
-            let acceptance = MatchAcceptance { min_explained, ..loops.acceptance };
-            self.search.set_policy(LoopSearchPolicy { acceptance, ..loops });
+            self.search
+                .set_policy(LoopSearchPolicy { acceptance: self.acceptance_of_known_place(), ..loops });
             self.schedule(self.distant_neighbours(&travel), most);
             self.search.set_policy(loops);
             let before = self.state.constraints.len();
@@ -64,6 +63,12 @@ impl<S: Space> PoseGraph<S> {
             }
             self.run_optimization();
         }
+    }
+
+    /// What a match has to be like where the map says that the node lies.
+    pub(super) fn acceptance_of_known_place(&self) -> MatchAcceptance {
+        let usual = self.loop_search().acceptance;
+        MatchAcceptance { min_explained: EXPLAINED_OF_USUAL * usual.min_explained, ..usual }
     }
 
     /// Untied pairs that lie beside each other, with a long way between them; of each submap and trajectory one in

@@ -91,6 +91,9 @@ impl<S: Space> PoseGraph<S> {
             self.problem.open.insert(node_id, inserted.open.clone());
         }
         self.gathered.insert(node_id, inserted.gathered);
+        if node_id.index == 0 && self.starts_where_told(node_id.trajectory_id) {
+            self.problem.told_starts.insert(node_id, map_from_node);
+        }
         self.problem.nodes.insert(
             node_id,
             OptimizationNode { time: inserted.data.time, local_from_node, map_from_node, gravity_alignment },
@@ -110,6 +113,10 @@ impl<S: Space> PoseGraph<S> {
                 score: None,
             });
         }
+    }
+
+    fn starts_where_told(&self, id: TrajectoryId) -> bool {
+        self.state.trajectories.get(&id).is_some_and(|trajectory| trajectory.initial_pose.is_some())
     }
 
     /// Averages what the IMU measured since the node before if it stood all the time.

@@ -38,6 +38,7 @@ impl<S: Space> PoseGraph<S> {
         if lost.is_empty() {
             self.run_optimization();
             self.close_loops_with(joining);
+            self.placed_parts.clear();
             self.run_final_optimization();
         }
         lost
@@ -53,11 +54,17 @@ impl<S: Space> PoseGraph<S> {
         let mut by_size: Vec<(usize, TrajectoryId)> = looked_for.iter().map(|id| (size(id), *id)).collect();
         by_size.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
         for (_, id) in by_size {
-            let part = self.state.connectivity.members(id);
+            let part: BTreeSet<TrajectoryId> = self.state.connectivity.members(id).into_iter().collect();
             let is_placed = part.iter().any(|member| !looked_for.contains(member));
             if !is_placed && !self.stop.is_asked() && of_trajectory(&self.state.nodes, id).next().is_some() {
-                self.place(id, &part.into_iter().collect());
+                self.place(id, &part);
             }
+        }
+        // Before parts were put together nobody looked for what lies beside each other now.
+        let placed = std::mem::take(&mut self.placed_parts);
+        if !placed.is_empty() && !self.stop.is_asked() {
+            self.run_optimization();
+            self.close_loops_with(&placed);
         }
     }
 
@@ -73,13 +80,13 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    fn is_joined(&self, id: TrajectoryId, joining: &BTreeSet<TrajectoryId>) -> bool {
+    pub(super) fn is_joined(&self, id: TrajectoryId, joining: &BTreeSet<TrajectoryId>) -> bool {
         let members = self.state.connectivity.members(id);
         members.iter().any(|member| !joining.contains(member))
     }
 
     /// Searches nodes of a trajectory, from all over it, in whole submaps of the rest until they agree.
-    fn place(&mut self, id: TrajectoryId, joining: &BTreeSet<TrajectoryId>) {
+    pub(super) fn place(&mut self, id: TrajectoryId, joining: &BTreeSet<TrajectoryId>) {
         let nodes: Vec<NodeId> = of_trajectory(&self.state.nodes, id).map(|(id, _)| id).collect();
         let mut seen = BTreeSet::new();
         let spread = (0..MOST_NODES)
@@ -126,7 +133,7 @@ impl<S: Space> PoseGraph<S> {
     }
 
     /// Tries pairs of either side that are near each other now.
-    fn close_loops_with(&mut self, joining: &BTreeSet<TrajectoryId>) {
+    pub(super) fn close_loops_with(&mut self, joining: &BTreeSet<TrajectoryId>) {
         let (new, old): (Vec<NodeId>, Vec<NodeId>) =
             self.spaced_nodes().into_iter().partition(|id| joining.contains(&id.trajectory_id));
         let mut pairs = self.pairs(&new, |id| !joining.contains(&id));

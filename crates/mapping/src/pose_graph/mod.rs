@@ -6,6 +6,7 @@
 //! optimisation is due.
 
 mod agreement;
+mod consistency;
 mod contradictions;
 mod drift;
 mod editing;
@@ -27,10 +28,10 @@ mod redrawing;
 mod renewing;
 mod sampling;
 mod search;
-mod self_consistency;
 mod shortest_ways;
 mod state;
 mod summary_ties;
+mod told_starts;
 mod travel;
 mod trimmed_nodes;
 mod trimming;
@@ -40,6 +41,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use agreement::WaitingMatches;
+pub use consistency::Consistency;
 pub use drift::Drift;
 pub use extension::Extension;
 pub use patching::CellFate;
@@ -47,7 +49,6 @@ pub use patching_3d::VoxelFate;
 pub use policy::{LoopSearchPolicy, PoseGraphPolicy};
 pub use renewing::{Coverage, Replacement};
 pub use search::SearchCounts;
-pub use self_consistency::SelfConsistency;
 pub use state::{
     Gap, GraphState, InitialTrajectoryPose, SubmapEntry, TrajectoryEntry, TrajectoryState, TrimmedTies,
 };
@@ -59,7 +60,7 @@ use localisation::Localisation;
 use open_nodes::OpenNodes;
 use places::PlaceSearches;
 use portolan_config::PoseGraphOptions;
-use portolan_geometry::Time;
+use portolan_geometry::{Dimension, Time};
 use portolan_local_slam::{InsertedNode, UsualAgreement};
 use portolan_optimization::{LandmarkSighting, OptimizationData, OptimizationSummary, unused_fixes};
 use portolan_recall::Memory;
@@ -102,9 +103,13 @@ pub struct PoseGraph<S: Space> {
     pieces: BTreeSet<TrajectoryId>,
     /// Those of them that only odometry ties to the trajectory before a gap.
     tied_by_odometry: BTreeSet<TrajectoryId>,
+    /// Trajectories whose scans fit elsewhere than where somebody said that they start: how far off, metres and radians.
+    refuted_starts: BTreeMap<TrajectoryId, (f64, f64)>,
+    /// Trajectories that were put where they lie in the rest of the map.
+    placed_parts: BTreeSet<TrajectoryId>,
     waiting: WaitingMatches,
     localisation: Localisation,
-    self_consistency: SelfConsistency,
+    self_consistency: Consistency,
     drift: Drift,
     optimizations: u64,
     last_summary: OptimizationSummary,
@@ -138,9 +143,11 @@ impl<S: Space> PoseGraph<S> {
             contradicted: 0,
             pieces: BTreeSet::new(),
             tied_by_odometry: BTreeSet::new(),
+            refuted_starts: BTreeMap::new(),
+            placed_parts: BTreeSet::new(),
             waiting: WaitingMatches::default(),
             localisation: Localisation::default(),
-            self_consistency: SelfConsistency::default(),
+            self_consistency: Consistency::default(),
             drift: Drift::default(),
             optimizations: 0,
             last_summary: OptimizationSummary::default(),
@@ -179,7 +186,7 @@ impl<S: Space> PoseGraph<S> {
     /// What is done beyond what Cartographer does. To be set before anything is added.
     pub fn set_policy(&mut self, policy: PoseGraphPolicy) {
         self.problem.doubts_sensors = policy.doubts_sensors;
-        self.localisation.set_wanted(policy.localises_while_recording && S::OPTIMIZES_WITH_IMU);
+        self.localisation.set_wanted(policy.localises_while_recording && S::DIMENSION == Dimension::Three);
         self.policy = policy;
         self.search.set_policy(self.loop_search());
     }
@@ -338,7 +345,7 @@ impl<S: Space> PoseGraph<S> {
     }
 
     /// Optimises once more, with as many iterations as the options allow at the end: after searching for pieces of map
-    /// that have no place yet, and more if too little was searched so far; again with loop closures that the optimised map
+    /// that have no place yet, and more if too little was searched so far; elsewhere for trajectories that do not fit where they were said to start; again with loop closures that the optimised map
     /// shows to have been missed; and again after leaving out contradicted ones if that is wanted. Then submaps are drawn
     /// again, and the map is compared with itself. Once the map is wanted as it is, it is optimised once, and nothing else.
     pub fn run_final_optimization(&mut self) {
@@ -350,6 +357,7 @@ impl<S: Space> PoseGraph<S> {
         if self.take_supported() > 0 {
             self.run_optimization();
         }
+        self.doubt_told_starts();
         self.search_missed();
         if self.settle_open_loop_closures() {
             self.run_optimization();
@@ -386,7 +394,7 @@ impl<S: Space> PoseGraph<S> {
         self.optimizations += 1;
         self.publish_poses();
         // As in Cartographer only in 3D.
-        if self.options.log_residual_histograms && S::OPTIMIZES_WITH_IMU {
+        if self.options.log_residual_histograms && S::DIMENSION == Dimension::Three {
             self.log_residuals();
         }
     }

@@ -1,7 +1,6 @@
 //! Whether a recording was found in maps that were known before.
 
-use portolan_geometry::Rigid3;
-use portolan_mapping::{Map, Space, TrajectoryId};
+use portolan_mapping::{Consistency, Space};
 
 use crate::pipeline::MappedRecording;
 
@@ -16,29 +15,46 @@ pub struct Localisation {
     pub placed_after_seconds: Option<f64>,
     /// Whether somebody said where it starts.
     pub start_was_told: bool,
-    /// Of the nodes of the recording (up to 200, spread evenly) so many lie near a node of a known map: places that should
-    /// have been recognised.
-    pub nodes_near_known_ones: usize,
+    /// How far from where somebody said that it starts it was found, metres and radians; none where its scans fit there, or nowhere
+    /// better.
+    pub error_of_told_start: Option<(f64, f64)>,
+    /// Whether its nodes that were tied to known maps are gone: then there is little to compare with these.
+    pub is_trimmed: bool,
+    /// How its scans agree with the known maps where it lies in them.
+    pub agreement: Consistency,
 }
 
-/// Nodes nearer to each other see the same place, metres.
-const NEAR: f64 = 3.0;
-/// Nodes that are compared.
-const COMPARED: usize = 200;
-/// So many places that were not recognised refute a start.
-const REFUTED: usize = 5;
+/// A place that fewer of its places than this fraction confirm is refuted. Simulated offices seen by a poor lidar: at most 9 of 25 where
+/// they lie 0.3 m off or more, 7 of 24 in a place that looks alike; 19 of 25 and more where they belong
+/// (docs/experiments/2026-11-known-places.md).
+const LEAST_CONFIRMED: f64 = 0.25;
 
 /// What is known of the place of a recording in known maps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
-    /// It was found.
+    /// It was found, and its scans fit the known maps there.
     Found,
+    /// It was found, but too few of its scans fit the known maps there, or lie where these know the place.
+    Doubtful,
     /// Somebody said where it starts, and nothing speaks for or against it: it went where no known map reaches.
     Told,
-    /// Somebody said where it starts, but the known maps look otherwise there.
+    /// The known maps look otherwise where it was found, or where somebody said that it starts.
     Refuted,
     /// Nobody said it, and it was not found.
     NotFound,
+}
+
+impl Place {
+    /// The name in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Found => "found",
+            Self::Doubtful => "doubtful",
+            Self::Told => "told",
+            Self::Refuted => "refuted",
+            Self::NotFound => "not_found",
+        }
+    }
 }
 
 impl Localisation {
@@ -69,40 +85,40 @@ impl Localisation {
         let placed_after_seconds = placed.zip(start).map(|(placed, start)| placed.seconds_since(start));
         let loop_closures = between.len() + trimmed.map_or(0, |ties| ties.count);
         let start_was_told = state.trajectories.get(&new).is_some_and(|t| t.initial_pose.is_some());
-        let nodes_near_known_ones = nodes_near_known_ones(&mapped.map, &pieces);
         Some(Self {
             loop_closures,
             first_found_after_seconds,
             placed_after_seconds,
             start_was_told,
-            nodes_near_known_ones,
+            error_of_told_start: mapped.map.graph.error_of_told_start(new),
+            is_trimmed: trimmed.is_some(),
+            agreement: mapped.in_known_maps,
         })
     }
 
     /// What is known of the place.
     pub fn place(&self) -> Place {
-        match self {
-            _ if self.placed_after_seconds.is_some() || self.first_found_after_seconds.is_some() => {
-                Place::Found
-            }
-            _ if !self.start_was_told => Place::NotFound,
-            _ if self.nodes_near_known_ones >= REFUTED => Place::Refuted,
-            _ => Place::Told,
+        let is_tied = self.placed_after_seconds.is_some() || self.first_found_after_seconds.is_some();
+        let is_placed = is_tied || self.start_was_told;
+        let Consistency { places, confirmed, .. } = self.agreement;
+        match self.agreement.is_known() {
+            _ if !is_placed => Place::NotFound,
+            false if is_tied && self.is_trimmed => Place::Found,
+            false if is_tied => Place::Doubtful,
+            false => Place::Told,
+            true if self.agreement.is_confirmed() => Place::Found,
+            true if (confirmed as f64) < LEAST_CONFIRMED * places as f64 => Place::Refuted,
+            true => Place::Doubtful,
         }
     }
 
-    /// Whether the recording lies in the known maps where it belongs, as far as can be known.
+    /// Whether the recording is known to lie in the known maps where it belongs.
     pub fn is_trusted(&self) -> bool {
-        matches!(self.place(), Place::Found | Place::Told)
+        self.place() == Place::Found
     }
-}
 
-/// How many nodes of the pieces of a recording lie near one of another trajectory.
-fn nodes_near_known_ones<S: Space>(map: &Map<S>, pieces: &[TrajectoryId]) -> usize {
-    let (new, known): (Vec<_>, Vec<_>) =
-        map.graph.state().nodes.iter().partition(|(id, _)| pieces.contains(&id.trajectory_id));
-    let stride = new.len().div_ceil(COMPARED).max(1);
-    let near = |a: &Rigid3, b: &Rigid3| (a.translation.vector - b.translation.vector).norm() < NEAR;
-    let is_near = |pose: &Rigid3| known.iter().any(|(_, node)| near(pose, &node.map_from_tracking));
-    new.iter().step_by(stride).filter(|(_, node)| is_near(&node.map_from_tracking)).count()
+    /// Whether the recording does not lie where it belongs, as far as can be known: two buildings on top of each other.
+    pub fn is_refused(&self) -> bool {
+        matches!(self.place(), Place::Refuted | Place::NotFound)
+    }
 }

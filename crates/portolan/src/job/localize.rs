@@ -27,6 +27,7 @@ use super::{Job, MapRequest, OutputFolder};
 use crate::RequestedOptions;
 use crate::pipeline::{KnownMap as LoadedGraph, PipelineError, Preparation};
 use crate::silence::Silences;
+use crate::unusable_scans::ScanTally;
 
 /// Where a recording starts.
 #[derive(Clone, Debug, PartialEq)]
@@ -150,10 +151,11 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
     options.portolan.join_surfaces = false;
     let mut localizer = Localizer::new(map, &options, &sensors, &settings)?;
     let mut estimates: Spool<Estimate> = Spool::in_folder(existing(&request.folder));
-    let mut silences = Silences::default();
+    let (mut silences, mut tally) = (Silences::default(), ScanTally::default());
     let mut interrupted = false;
     while let Some((sensor_id, measurement)) = ingestion.next_measurement().map_err(PipelineError::from)? {
         silences.add(&sensor_id, measurement.time());
+        tally.add(&measurement);
         if let Some(fix) = fixes.as_ref().and_then(|fixes| fixes.newest(&ingestion, &measurement)) {
             localizer.add_fix(fix);
         }
@@ -168,7 +170,7 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
     }
     localizer.finish().into_iter().for_each(|estimate| estimates.push(estimate.in_map(&frame)));
     if estimates.is_empty() {
-        return Err(PipelineError::NoScans.into());
+        return Err(PipelineError::NoScans(Box::new(tally.verdict(&localizer.issues()))).into());
     }
     let saved_map = match &request.save_map {
         Some(_) if interrupted => Some(SavedMap::Interrupted),

@@ -14,6 +14,7 @@ use portolan_atomic_file::{Leftovers, remove_leftovers};
 
 use super::error::{JobError, write_file};
 use super::event::{Observer, Remark, remark};
+use super::saved_map::is_same_file;
 use claim::Claim;
 pub use manifest::MANIFEST;
 use manifest::{Content, Manifest, Record, is_plain};
@@ -192,11 +193,6 @@ impl OutputFolder {
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
-}
-
-fn is_same_file(a: &Path, b: &Path) -> bool {
-    let [a, b] = [a, b].map(|path| path.canonicalize().ok());
-    a.is_some() && a == b
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use portolan_config::Engine;
 use portolan_issue::IssueLog;
-use portolan_mapping::{DegenerateInterval, Drift, SelfConsistency, Space};
+use portolan_mapping::{Consistency, DegenerateInterval, Drift, Space};
 use portolan_numeric::LatencyHistogram;
 
 use super::localisation::Localisation;
@@ -26,7 +26,7 @@ pub struct MappingSummary {
     /// Loop closures that were left out since too few others agree with what they would bend.
     pub unsupported_loop_closures: usize,
     /// Whether scans of one place agree with those of its earlier passes.
-    pub self_consistency: SelfConsistency,
+    pub self_consistency: Consistency,
     /// How far places may be off to which only odometry, or nothing, told the way (2D).
     pub drift: Drift,
     /// Seconds from the first to the last measurement.
@@ -76,9 +76,15 @@ impl MappingSummary {
         }
     }
 
-    /// Whether the recording lies in the known maps where it belongs, as far as can be known, and the map is fit to be
-    /// written.
-    pub fn is_trusted(&self) -> bool {
-        self.is_sound && self.localisation.is_none_or(|found| found.is_trusted())
+    /// Whether nothing of the map is to be used: it is not fit to be written, or the recording does not lie in the known maps
+    /// where it belongs.
+    pub fn is_refused(&self) -> bool {
+        !self.is_sound || self.localisation.is_some_and(|found| found.is_refused())
+    }
+
+    /// Whether the map can be used, but not all of it as it is: data were lost, or nobody knows whether parts of it lie where
+    /// they belong.
+    pub fn is_partial(&self) -> bool {
+        self.lost_data || self.localisation.is_some_and(|found| !found.is_trusted())
     }
 }

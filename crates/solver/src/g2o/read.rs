@@ -117,6 +117,9 @@ impl G2oRepairs {
     }
 }
 
+/// What has so many lines and neither vertices nor edges among them is no pose graph, and perhaps has no end.
+const MOST_LINES_BEFORE_GRAPH: usize = 100_000;
+
 /// Reads VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT and FIX; other tags are counted. Lines may come
 /// in any order.
 pub fn read_g2o(mut input: impl BufRead) -> Result<(Graph, G2oRepairs), G2oError> {
@@ -129,6 +132,9 @@ pub fn read_g2o(mut input: impl BufRead) -> Result<(Graph, G2oRepairs), G2oError
             Line::End => return reader.finish(),
             Line::TooLong => return Err(G2oError::LongLine { line, limit_mib: MAX_LINE >> 20 }),
             Line::Whole => reader.line(line, &String::from_utf8_lossy(&bytes))?,
+        }
+        if line > MOST_LINES_BEFORE_GRAPH && reader.planar.is_empty() && reader.spatial.is_empty() {
+            return Err(G2oError::Empty);
         }
     }
 }

@@ -8,7 +8,7 @@ use portolan_mapfile::{EditError, EditReport, JoinedMap, LoopResidual, MapDraft,
 use portolan_pbstream::ReadLimits;
 use serde::Serialize;
 
-use super::values::{Rotation, time};
+use super::values::{LoopToAdd, Rotation, time};
 use super::{EditArgs, LoopArgs, PartArgs, PlaceArgs};
 use crate::GlobalArgs;
 use crate::commands::optimize::{loop_text, optimize_draft, options, summary};
@@ -47,7 +47,7 @@ pub fn run(args: &EditArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
         }
     }
     choose_parts(&mut draft, &args.parts, global)?;
-    change_loops(&mut draft, &args.loops, global)?;
+    let loops_fit = change_loops(&mut draft, &args.loops, global)?;
     let optimization = match args.loops.optimize {
         true => Some(optimize_draft(&mut draft, &args.loops.set, None)?),
         false => None,
@@ -69,7 +69,10 @@ pub fn run(args: &EditArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     } else {
         print_summary(&report.text());
     }
-    Ok(outcome_of_map(&args.output, &report.edit.damage))
+    match outcome_of_map(&args.output, &report.edit.damage) {
+        Outcome::Done if !loops_fit => Ok(Outcome::DataLost),
+        outcome => Ok(outcome),
+    }
 }
 
 fn choose_parts(draft: &mut MapDraft, args: &PartArgs, global: &GlobalArgs) -> Result<(), CliError> {
@@ -168,7 +171,8 @@ fn told(path: &Path, joined: JoinedMap, global: &GlobalArgs) -> JoinedMap {
     joined
 }
 
-fn change_loops(draft: &mut MapDraft, args: &LoopArgs, global: &GlobalArgs) -> Result<(), CliError> {
+/// Whether all loop closures that were put in fit, as far as can be told.
+fn change_loops(draft: &mut MapDraft, args: &LoopArgs, global: &GlobalArgs) -> Result<bool, CliError> {
     for (submap, node) in &args.drop_loop {
         draft.drop_loop(*submap, *node)?;
     }
@@ -179,10 +183,14 @@ fn change_loops(draft: &mut MapDraft, args: &LoopArgs, global: &GlobalArgs) -> R
         draft.drop_loops_beyond(metres, f64::INFINITY);
     }
     let options = options(draft, &args.set)?;
+    let mut fit_everywhere = true;
     for new in &args.add_loop {
         let weights = draft.loop_weights();
         let pose = match new.submap_from_node {
-            Some(pose) => pose,
+            Some(pose) => {
+                fit_everywhere &= fits(draft, new, &pose)?;
+                pose
+            }
             None => {
                 let builder = &options.map_builder.pose_graph.constraint_builder;
                 let found = draft.find_loop(new.submap, new.node, builder)?;
@@ -205,7 +213,25 @@ fn change_loops(draft: &mut MapDraft, args: &LoopArgs, global: &GlobalArgs) -> R
         };
         draft.add_loop(new.submap, new.node, &pose, weights)?;
     }
-    Ok(())
+    Ok(fit_everywhere)
+}
+
+/// Says how a scan fits a submap where somebody says that it was taken; whether it does, as far as can be told.
+fn fits(draft: &MapDraft, new: &LoopToAdd, pose: &Rigid3) -> Result<bool, CliError> {
+    let Some(agreement) = draft.judge_loop(new.submap, new.node, pose)? else { return Ok(true) };
+    let (node, submap) = (new.node, new.submap);
+    let [explained, contradicted] =
+        [agreement.explained, agreement.contradicted()].map(|share| 100.0 * share);
+    let fits = explained > contradicted;
+    say(&format!(
+        "{}node {},{} in submap {},{} there: {explained:.0} % of its beams meet what the submap shows, {contradicted:.0} % contradict it",
+        if fits { "" } else { "this loop closure does NOT fit: " },
+        node.0,
+        node.1,
+        submap.0,
+        submap.1
+    ));
+    Ok(fits)
 }
 
 /// Moves and turns the map; returns the angle, radians.

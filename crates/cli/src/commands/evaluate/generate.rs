@@ -11,6 +11,7 @@ use portolan_pbstream::proto::mapping::pose_graph::{Constraint, constraint::Tag}
 use portolan_pbstream::{IdInFile, node_id, pose_from_proto, submap_id};
 
 use crate::GlobalArgs;
+use crate::commands::argument::not_negative;
 use crate::error::{CliError, Outcome};
 use crate::input::open_forward;
 use crate::output::{print_json, print_summary, write_file};
@@ -31,13 +32,13 @@ pub struct GenerateArgs {
     #[arg(short, long, value_name = "RELATIONS")]
     output: PathBuf,
     /// Metres of path between both ends of a relation.
-    #[arg(long, value_name = "METRES", default_value_t = 100.0)]
+    #[arg(long, value_name = "METRES", default_value_t = 100.0, value_parser = not_negative)]
     min_covered_distance: f64,
     /// Loop closures further off the optimised map are left out.
-    #[arg(long, value_name = "METRES", default_value_t = 0.15)]
+    #[arg(long, value_name = "METRES", default_value_t = 0.15, value_parser = not_negative)]
     outlier_threshold_meters: f64,
     /// Loop closures rotated further off the optimised map are left out.
-    #[arg(long, value_name = "RADIANS", default_value_t = 0.02)]
+    #[arg(long, value_name = "RADIANS", default_value_t = 0.02, value_parser = not_negative)]
     outlier_threshold_radians: f64,
     /// Write text, `time1 time2 x y z roll pitch yaw`, instead of Cartographer's binary form.
     #[arg(long)]

@@ -5,7 +5,7 @@ use portolan_ingest::IngestOptions;
 use portolan_recording::Recording;
 
 use crate::GlobalArgs;
-use crate::commands::argument::{shifts, time_offset};
+use crate::commands::argument::{not_negative, shifts, time_offset};
 use crate::commands::handling::HandlingArgs;
 use crate::error::CliError;
 use crate::progress::{Progress, say};
@@ -27,8 +27,8 @@ pub struct PointArgs {
     #[arg(long, value_name = "TOPIC=SECONDS", value_parser = time_offset)]
     pub clock_offset: Vec<(String, f64)>,
     /// Points nearer to their sensor than this are left out, metres: the platform itself.
-    #[arg(long, value_name = "METRES", default_value_t = 0.3)]
-    pub min_range: f32,
+    #[arg(long, value_name = "METRES", default_value_t = 0.3, value_parser = not_negative)]
+    pub min_range: f64,
 }
 
 /// Sensors besides the lidars that know of the motion.
@@ -93,8 +93,13 @@ pub fn read_points_and(
         }
     };
     let sensors: Vec<MotionSensor> = others.iter().map(|sensor| (*sensor).into()).collect();
-    let read =
-        portolan::job::refine::read_points(recording, &options, args.min_range, &sensors, &mut observe)?;
+    let read = portolan::job::refine::read_points(
+        recording,
+        &options,
+        args.min_range as f32,
+        &sensors,
+        &mut observe,
+    )?;
     if let Some(progress) = progress {
         progress.finish();
     }

@@ -1,0 +1,45 @@
+//! Outputs that are inputs, too: a slip of the hand that would cost a map or a recording.
+
+use std::path::{Path, PathBuf};
+
+use clap::{ArgMatches, Command};
+use portolan::job::is_same_file;
+
+use crate::error::CliError;
+
+/// Arguments that name a file to write.
+const OUTPUTS: [&str; 6] = ["output", "csv", "histogram", "picture", "save_map", "cloud"];
+
+/// Verbs that make another map or pose graph of one: they may do it in place.
+const IN_PLACE: [&str; 4] = ["edit", "optimize", "migrate", "repair"];
+
+/// Refuses a command line that names one file to read and to write.
+///
+/// # Errors
+/// [`CliError::Usage`] that names the file.
+pub fn refuse(command: &Command, found: &ArgMatches) -> Result<(), CliError> {
+    if let Some((name, found)) = found.subcommand() {
+        if IN_PLACE.contains(&name) {
+            return Ok(());
+        }
+        return command.find_subcommand(name).map_or(Ok(()), |command| refuse(command, found));
+    }
+    let paths = |is_output: bool| {
+        let named = command.get_arguments().map(|argument| argument.get_id().as_str());
+        let wanted = named.filter(move |id| OUTPUTS.contains(id) == is_output);
+        let values = wanted.filter_map(|id| found.try_get_raw(id).ok().flatten()).flatten();
+        values.map(PathBuf::from).filter(|path| path.is_file()).collect::<Vec<_>>()
+    };
+    let inputs = paths(false);
+    match paths(true).into_iter().find(|output| inputs.iter().any(|input| is_same_file(input, output))) {
+        Some(output) => Err(CliError::Usage(replaced(&output))),
+        None => Ok(()),
+    }
+}
+
+fn replaced(output: &Path) -> String {
+    format!(
+        "{} is read, and would be replaced by what is written: take another name for it",
+        output.display()
+    )
+}

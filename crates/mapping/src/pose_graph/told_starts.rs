@@ -1,0 +1,96 @@
+//! Starts in a known map that somebody told: witnesses that can be wrong.
+//!
+//! A trajectory with such a start lies there, loosely, and is searched there. In the end its scans are compared with the known map:
+//! if they do not confirm the place, it is looked for in the whole known map; what is found there is believed if scans confirm it.
+
+use std::collections::BTreeSet;
+
+use portolan_geometry::rotation_angle;
+use portolan_optimization::{OptimizationData, TrajectoryConnectivity};
+
+use super::PoseGraph;
+use crate::{Space, TrajectoryId, of_trajectory};
+
+/// Starts are told no better than this, metres and radians.
+const RIGHT: (f64, f64) = (0.5, 0.1);
+
+impl<S: Space> PoseGraph<S> {
+    /// How far from where somebody said that a trajectory starts it was found, metres and radians; none where its scans fit there, or
+    /// nowhere better.
+    pub fn error_of_told_start(&self, id: TrajectoryId) -> Option<(f64, f64)> {
+        self.refuted_starts.get(&id).copied()
+    }
+
+    pub(super) fn doubt_told_starts(&mut self) {
+        if !self.searches_whole_maps() {
+            return;
+        }
+        let told: BTreeSet<TrajectoryId> =
+            self.problem.told_starts.keys().map(|node_id| node_id.trajectory_id).collect();
+        for id in told {
+            self.doubt_told_start(id);
+        }
+    }
+
+    fn doubt_told_start(&mut self, id: TrajectoryId) {
+        // Pieces that the trajectory fell into have later numbers, and lie where it lies.
+        let new: BTreeSet<TrajectoryId> =
+            self.state.trajectories.keys().copied().filter(|other| *other >= id).collect();
+        if self.stop.is_asked() || self.consistency_with_others(&new).is_confirmed() {
+            return;
+        }
+        let (state, problem) = (self.state.clone(), self.problem.clone());
+        let (waiting, placed_at) = (self.waiting.clone(), self.localisation.placed_at);
+        self.forget_ties_of(&new);
+        self.places.save_for(self.state.nodes.len());
+        self.place(id, &new);
+        if self.is_joined(id, &new) {
+            self.run_optimization();
+            self.close_loops_with(&new);
+            self.run_optimization();
+        }
+        if self.consistency_with_others(&new).is_confirmed() {
+            self.note_error_of_start(id, &problem);
+        } else {
+            (self.state, self.problem) = (state, problem);
+            (self.waiting, self.localisation.placed_at) = (waiting, placed_at);
+        }
+    }
+
+    fn note_error_of_start(&mut self, id: TrajectoryId, told: &OptimizationData) {
+        let told = of_trajectory(&told.told_starts, id).next();
+        let Some((found, told)) =
+            told.and_then(|(first, told)| self.problem.nodes.get(&first).zip(Some(told)))
+        else {
+            return;
+        };
+        let error = told.inverse() * found.map_from_node;
+        let (metres, radians) = (error.translation.vector.norm(), rotation_angle(&error));
+        if metres > RIGHT.0 || radians > RIGHT.1 {
+            self.refuted_starts.insert(id, (metres, radians));
+        }
+    }
+
+    /// Leaves trajectories without a place in the rest of the map.
+    fn forget_ties_of(&mut self, new: &BTreeSet<TrajectoryId>) {
+        self.problem.told_starts.retain(|node_id, _| !new.contains(&node_id.trajectory_id));
+        self.state.constraints.retain(|constraint| {
+            new.contains(&constraint.node_id.trajectory_id)
+                == new.contains(&constraint.submap_id.trajectory_id)
+        });
+        self.state.connectivity = TrajectoryConnectivity::default();
+        for (id, entry) in &self.state.trajectories {
+            self.state.connectivity.add(*id);
+            if let Some(start) = entry.initial_pose.as_ref().filter(|_| !new.contains(id)) {
+                self.state.connectivity.connect(*id, start.to_trajectory_id, start.time);
+            }
+        }
+        let frozen: Vec<TrajectoryId> = self.problem.frozen.iter().copied().collect();
+        frozen.into_iter().for_each(|id| self.freeze_trajectory(id));
+        let ties = self.state.constraints.iter();
+        let ties = ties.filter(|c| c.node_id.trajectory_id != c.submap_id.trajectory_id).cloned();
+        for constraint in ties.collect::<Vec<_>>() {
+            self.connect_by(&constraint);
+        }
+    }
+}
