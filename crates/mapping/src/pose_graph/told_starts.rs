@@ -1,7 +1,8 @@
 //! Starts in a known map that somebody told: witnesses that can be wrong.
 //!
 //! A trajectory with such a start lies there, loosely, and is searched there. In the end its scans are compared with the known map:
-//! if they do not confirm the place, it is looked for in the whole known map; what is found there is believed if scans confirm it.
+//! if they confirm the place, the start is let go; else the trajectory is looked for in the whole known map, and what is found there is
+//! believed if scans confirm it.
 
 use std::collections::BTreeSet;
 
@@ -36,7 +37,11 @@ impl<S: Space> PoseGraph<S> {
         // Pieces that the trajectory fell into have later numbers, and lie where it lies.
         let new: BTreeSet<TrajectoryId> =
             self.state.trajectories.keys().copied().filter(|other| *other >= id).collect();
-        if self.stop.is_asked() || self.consistency_with_others(&new).is_confirmed() {
+        if self.stop.is_asked() {
+            return;
+        }
+        if self.consistency_with_others(&new).is_confirmed() {
+            self.let_go_of_told_start(&new);
             return;
         }
         let (state, problem) = (self.state.clone(), self.problem.clone());
@@ -54,6 +59,19 @@ impl<S: Space> PoseGraph<S> {
         } else {
             (self.state, self.problem) = (state, problem);
             (self.waiting, self.localisation.placed_at) = (waiting, placed_at);
+        }
+    }
+
+    /// A start that led to a place which scans confirm has done its work: it would go on pulling there. It stays if the place is lost without
+    /// it, because loop closures leave it open.
+    fn let_go_of_told_start(&mut self, new: &BTreeSet<TrajectoryId>) {
+        let (optimized_submaps, problem) = (self.state.optimized_submaps.clone(), self.problem.clone());
+        let nodes = self.state.nodes.clone();
+        self.problem.told_starts.retain(|node_id, _| !new.contains(&node_id.trajectory_id));
+        self.run_optimization();
+        if !self.consistency_with_others(new).is_confirmed() {
+            self.problem = problem;
+            (self.state.optimized_submaps, self.state.nodes) = (optimized_submaps, nodes);
         }
     }
 
