@@ -115,8 +115,10 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
+    /// Whether a start that somebody told ties the trajectory: where it is doubted, too. Cartographer only begins there.
     fn starts_where_told(&self, id: TrajectoryId) -> bool {
-        self.state.trajectories.get(&id).is_some_and(|trajectory| trajectory.initial_pose.is_some())
+        self.searches_whole_maps()
+            && self.state.trajectories.get(&id).is_some_and(|trajectory| trajectory.initial_pose.is_some())
     }
 
     /// Averages what the IMU measured since the node before if it stood all the time.

@@ -2,7 +2,7 @@
 //!
 //! A trajectory with such a start lies there, loosely, and is searched there. In the end its scans are compared with the known map:
 //! if they confirm the place, the start is let go; else the trajectory is looked for in the whole known map, and what is found there is
-//! believed if scans confirm it.
+//! believed if scans confirm it. Whatever loses a place that scans confirm is undone.
 
 use std::collections::BTreeSet;
 
@@ -40,38 +40,33 @@ impl<S: Space> PoseGraph<S> {
         if self.stop.is_asked() {
             return;
         }
-        if self.consistency_with_others(&new).is_confirmed() {
-            self.let_go_of_told_start(&new);
-            return;
-        }
-        let (state, problem) = (self.state.clone(), self.problem.clone());
+        let before = (self.state.clone(), self.problem.clone());
         let (waiting, placed_at) = (self.waiting.clone(), self.localisation.placed_at);
-        self.forget_ties_of(&new);
-        self.places.save_for(self.state.nodes.len());
-        self.place(id, &new);
-        if self.is_joined(id, &new) {
+        let is_confirmed = |graph: &Self| graph.consistency_with_others(&new).is_confirmed();
+        if is_confirmed(self) {
+            // It has done its work, and would go on pulling.
+            self.problem.told_starts.retain(|node_id, _| !new.contains(&node_id.trajectory_id));
             self.run_optimization();
-            self.close_loops_with(&new);
-            self.run_optimization();
-        }
-        if self.consistency_with_others(&new).is_confirmed() {
-            self.note_error_of_start(id, &problem);
         } else {
-            (self.state, self.problem) = (state, problem);
+            self.look_elsewhere(id, &new);
+        }
+        if is_confirmed(self) {
+            self.note_error_of_start(id, &before.1);
+        } else {
+            (self.state, self.problem) = before;
             (self.waiting, self.localisation.placed_at) = (waiting, placed_at);
         }
     }
 
-    /// A start that led to a place which scans confirm has done its work: it would go on pulling there. It stays if the place is lost without
-    /// it, because loop closures leave it open.
-    fn let_go_of_told_start(&mut self, new: &BTreeSet<TrajectoryId>) {
-        let (optimized_submaps, problem) = (self.state.optimized_submaps.clone(), self.problem.clone());
-        let nodes = self.state.nodes.clone();
-        self.problem.told_starts.retain(|node_id, _| !new.contains(&node_id.trajectory_id));
-        self.run_optimization();
-        if !self.consistency_with_others(new).is_confirmed() {
-            self.problem = problem;
-            (self.state.optimized_submaps, self.state.nodes) = (optimized_submaps, nodes);
+    /// Looks for a trajectory in the whole rest of the map.
+    fn look_elsewhere(&mut self, id: TrajectoryId, new: &BTreeSet<TrajectoryId>) {
+        self.forget_ties_of(new);
+        self.places.save_for(self.state.nodes.len());
+        self.place(id, new);
+        if self.is_joined(id, new) {
+            self.run_optimization();
+            self.close_loops_with(new);
+            self.run_optimization();
         }
     }
 
