@@ -245,6 +245,7 @@ kinds! {
     CellOutside Error "cell outside of what a grid in 3D can hold, left out"
     CellInvalid Error "cell in 3D with an impossible value, left out"
     CellRepeated Error "cell in 3D that is there twice"
+    PlanesDamaged Info "planes of a submap that are damaged, made again from the points of its nodes"
     SecondPoseGraph Error "second pose graph"
     SecondOptions Error "second list of options"
     UnknownMapMessage Error "message of an unknown kind"

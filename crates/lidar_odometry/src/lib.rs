@@ -48,7 +48,7 @@ pub use local_map::GrowingMap;
 pub use odometry::{LidarOdometry, SweepError};
 pub use phase::Phase;
 pub use pieces::PieceBegun;
-pub use plane_map::{Plane, PlaneMap, Unreliable};
+pub use plane_map::{Plane, PlaneMap, PlaneRecord, Unreliable};
 pub use poles::{PoleMap, PolePoint};
 pub use registration::{MotionPrior, PosePrior, Registration, RegistrationResult, Sigmas};
 pub use segment::{MotionSource, SegmentCorrection, TrajectorySegment};

@@ -65,6 +65,11 @@ impl PlaneCell {
         }
     }
 
+    /// A plane to which no hits are added.
+    pub fn settled(mean: na::Vector3<f32>, normal: na::Vector3<f32>, count: u16, is_one_sided: bool) -> Self {
+        Self { mean, normal, count, is_one_sided, is_plane: true, ..Self::new() }
+    }
+
     /// The plane, if [`Self::is_plane`].
     #[inline]
     pub fn plane(&self, fit: &PlaneFit) -> Plane {

@@ -4,6 +4,9 @@
 //! size around it, until a voxel has settled to be a plane.
 
 mod look_up;
+mod records;
+
+pub use records::PlaneRecord;
 
 use nalgebra as na;
 use portolan_geometry::Point3f;

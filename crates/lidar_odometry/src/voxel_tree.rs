@@ -121,6 +121,24 @@ impl VoxelTree {
         (filtered, kept)
     }
 
+    /// Of each voxel, in the order of their numbers, the first smallest voxel in it and its size; what lies in none of the largest ones
+    /// is [`None`].
+    pub fn places(&self) -> Vec<Option<(Smallest, u32)>> {
+        let mut places = vec![None; self.len()];
+        let mut open: Vec<(usize, Smallest, u32)> =
+            self.largest.iter().map(|(key, number)| (number, Smallest::of_key(key), 0)).collect();
+        while let Some((number, first, level)) = open.pop() {
+            if let Some(place) = places.get_mut(number) {
+                *place = Some((first, level));
+            }
+            let children = self.children(number);
+            open.extend(
+                children.map(|(octant, child)| (child, first.in_octant(octant, level + 1), level + 1)),
+            );
+        }
+        places
+    }
+
     /// Octants and numbers of the voxels in a larger one.
     fn children(&self, parent: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
         let children = self.tables[self.table_of[parent] as usize].iter().enumerate();
@@ -154,6 +172,29 @@ impl Smallest {
     fn key(self) -> u64 {
         let index = |smallest: u32| u64::from(smallest >> (LEVELS - 1));
         index(self.x) | index(self.y) << 12 | index(self.z) << 24
+    }
+
+    /// The first of those in the largest voxel with this key.
+    fn of_key(key: u64) -> Self {
+        let index = |shift: u32| ((key >> shift) as u32 & 0xfff) << (LEVELS - 1);
+        Self { x: index(0), y: index(12), z: index(24) }
+    }
+
+    /// The first of those in a smaller voxel, of this size, of the voxel of which this one is the first.
+    fn in_octant(self, octant: usize, level: u32) -> Self {
+        let bit = |axis: u32| (octant as u32 >> axis & 1) << (LEVELS - 1 - level);
+        Self { x: self.x | bit(0), y: self.y | bit(1), z: self.z | bit(2) }
+    }
+
+    /// With these indices, if there is such a voxel.
+    pub fn of_indices(indices: [u32; 3]) -> Option<Self> {
+        let [x, y, z] = indices;
+        ((x | y | z) >> SMALLEST_BITS == 0).then_some(Self { x, y, z })
+    }
+
+    /// Its indices from the corner of all of them.
+    pub fn indices(self) -> [u32; 3] {
+        [self.x, self.y, self.z]
     }
 
     /// Which of the eight in the next larger voxel the one of this size (not the largest) around it is.
@@ -193,6 +234,19 @@ mod tests {
         let beside = place(4000.0, 4000.0, 4000.5);
         assert_eq!((tree.child(middle, one, 2), tree.child(middle, beside, 2)), (Some(small), None));
         assert_eq!((largest, middle, small, tree.len()), (0, 1, 2, 3));
+    }
+
+    #[test]
+    fn voxels_know_where_they_are() {
+        let mut tree = VoxelTree::with_capacity(0);
+        let one = place(4003.0, 4001.0, 4002.0);
+        let largest = tree.add_largest(one);
+        let middle = tree.add_child(largest, one, 1);
+        tree.add_child(middle, one, 2);
+        let places = tree.places().into_iter().flatten().map(|(first, level)| (first.indices(), level));
+        let expected = [([4000, 4000, 4000], 0), ([4002, 4000, 4002], 1), ([4003, 4001, 4002], 2)];
+        assert_eq!(places.collect::<Vec<_>>(), expected);
+        assert!(Smallest::of_indices([0, 8192, 0]).is_none() && Smallest::of_indices([8191; 3]).is_some());
     }
 
     #[test]

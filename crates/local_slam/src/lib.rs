@@ -14,7 +14,7 @@ pub use node::{GatheredVariance, InsertedNode, InsertionSubmap, NodeData};
 pub use space::{LocalSpace, Planar, Spatial};
 pub use three_d::{LocalSlam3d, LocalSlam3dSettings};
 pub use two_d::{LocalSlam2d, LocalSlamExtras, refutes_place};
-pub use usual_agreement::{AT_WRONG_PLACES, MatchAcceptance, Shares, UsualAgreement};
+pub use usual_agreement::{AT_RIGHT_PLACES, AT_WRONG_PLACES, MatchAcceptance, Shares, UsualAgreement};
 
 use std::collections::VecDeque;
 

@@ -8,7 +8,7 @@ use portolan_grids::ScanAgreement;
 /// At a wrong place this share of the beams is explained, and this share of what is known is contradicted …
 pub const AT_WRONG_PLACES: Shares = Shares { explained: 0.25, contradiction: 0.5 };
 /// … and at a right one, in recordings that the limits were chosen for.
-const AT_RIGHT_PLACES: Shares = Shares { explained: 0.8, contradiction: 1.0 / 12.0 };
+pub const AT_RIGHT_PLACES: Shares = Shares { explained: 0.8, contradiction: 1.0 / 12.0 };
 /// What was measured counts as much as what is expected after so many scans.
 const EXPECTED_SCANS: f32 = 10.0;
 /// A scan says something if the map knows this share of its beams.

@@ -6,6 +6,7 @@ mod collation;
 mod from_above;
 mod histogram;
 mod local_track;
+mod made_planes;
 #[cfg(test)]
 mod made_rooms;
 mod map;

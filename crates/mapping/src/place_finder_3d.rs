@@ -20,7 +20,7 @@ pub(crate) struct SpatialPlaces {
 impl SpatialPlaces {
     /// In submaps that know their planes; none if there are others, or nothing to find scans by.
     pub fn new(submaps: &[SubmapInMap<'_, Submap3d>]) -> Option<Self> {
-        if submaps.iter().any(|part| part.submap.planes.is_none()) {
+        if submaps.iter().any(|part| part.submap.planes_to_match().is_none()) {
             return None;
         }
         let frame = NearFrame::around(submaps.iter().map(|part| part.map_from_submap.translation.vector));

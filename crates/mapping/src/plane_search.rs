@@ -1,18 +1,19 @@
 //! Finding nodes in submaps that know their planes: where a node is believed to be first, then around it
 //! as widely as it may be off by now; and refining what a search anywhere found.
 
-use portolan_geometry::{Point3f, Rigid3, Vector3, is_valid_pose, to_f32};
-use portolan_grids::HybridGrid;
+use portolan_geometry::{Point3f, Rigid3, Vector3, is_valid_pose};
 use portolan_lidar_odometry::{
     PlaneMap, PosePrior, Registration, RegistrationResult, RegistrationSettings, Sigmas,
 };
 use portolan_matching::NodeToFind;
-use portolan_submaps::{SearchWindow, Submap3d};
+use portolan_submaps::SearchWindow;
 
-use crate::{MatchedPose, Nearby, NodeData, OpenShift};
+use crate::{MatchedPose, Nearby, OpenShift};
 
 /// A pose that a search found may be off by this.
 const SIGMAS: Sigmas = Sigmas { translation: 0.2, rotation: 0.05 };
+/// A node that lies on planes farther from its place than this, metres, is not on planes there.
+const SAME_PLACE: f64 = 0.3;
 /// Points may be off by this at the beginning of the refinement, metres.
 const REFINEMENT_SCALE: f64 = 0.4;
 /// What a node may be off after no way at all, and for each metre travelled since, three standard deviations: metres and radians.
@@ -28,45 +29,6 @@ const ERROR_SIGMAS: f64 = 3.0;
 const CAPTURE: f64 = 0.75;
 /// So it is begun at places so far from the guess, metres, too, which finds nodes that are off by up to 1.5 m.
 const RING: f64 = 0.9;
-
-/// Fewer nodes than this do not show the planes of a submap.
-const MIN_NODES: usize = 8;
-/// Cells of a grid count as occupied from this probability on.
-const MIN_PROBABILITY: f32 = 0.6;
-
-/// The planes of a submap from a file: from the points of its nodes, which are where they were measured, or
-/// where the file has none, from the centres of occupied cells.
-pub(crate) fn planes_of_loaded(
-    submap: &Submap3d,
-    nodes: &mut dyn Iterator<Item = &NodeData>,
-    voxel_size: f32,
-) -> PlaneMap {
-    let mut planes = PlaneMap::new(voxel_size);
-    let submap_from_local = submap.local_from_submap.inverse();
-    let mut count = 0;
-    for node in nodes {
-        let pose = to_f32(&(submap_from_local * node.local_from_tracking));
-        let clouds = [&node.high_resolution_point_cloud, &node.low_resolution_point_cloud];
-        let origin = Point3f::from(pose.translation.vector);
-        planes.insert_all(clouds.iter().flat_map(|cloud| &cloud.points).map(|point| pose * point), &origin);
-        count += usize::from(clouds.iter().any(|cloud| !cloud.is_empty()));
-    }
-    if count < MIN_NODES {
-        planes = planes_of_grid(&submap.high_resolution_grid, voxel_size);
-    }
-    planes.compacted()
-}
-
-/// Planes as far as the occupied cells of a grid tell, for maps from files, which keep no others.
-fn planes_of_grid(grid: &HybridGrid, edge: f32) -> PlaneMap {
-    let mut map = PlaneMap::new(edge);
-    grid.for_each_cell(|cell, _| {
-        if grid.probability(cell) >= MIN_PROBABILITY {
-            map.insert(&grid.cell_center(cell));
-        }
-    });
-    map
-}
 
 /// How far off a guess may be when the scanner travelled so many metres since.
 pub(crate) fn drift_over(travelled: f64) -> SearchWindow {
@@ -90,11 +52,22 @@ pub(crate) fn refined_by_planes(
     refined.degenerate.is_empty().then(|| matched(&refined))
 }
 
-/// The fraction of the points of a node that lie on planes to which they gave some themselves.
+/// The fraction of the points of a node that lie on planes where it is.
 pub(crate) fn explained_at(planes: &PlaneMap, node: &NodeToFind<'_>, pose: &Rigid3) -> f32 {
-    let prior = PosePrior { pose: *pose, sigmas: SIGMAS };
-    let found = register_to_planes(planes, node, pose, &prior, 0.0);
+    let is_there = |found: &RegistrationResult| {
+        (found.pose.translation.vector - pose.translation.vector).norm() <= SAME_PLACE
+    };
+    let found = registered_near(planes, node, pose).filter(is_there);
     found.map_or(0.0, |found| found.matched_fraction as f32)
+}
+
+/// The fraction of the points of a node that lie on planes where it fits best near a pose.
+pub(crate) fn explained_near(planes: &PlaneMap, node: &NodeToFind<'_>, pose: &Rigid3) -> f32 {
+    registered_near(planes, node, pose).map_or(0.0, |found| found.matched_fraction as f32)
+}
+
+fn registered_near(planes: &PlaneMap, node: &NodeToFind<'_>, pose: &Rigid3) -> Option<RegistrationResult> {
+    register_to_planes(planes, node, pose, &PosePrior { pose: *pose, sigmas: SIGMAS }, 0.0)
 }
 
 /// Puts the points of a node on planes. None if fewer than wanted lie on them then.
@@ -180,6 +153,7 @@ fn fit(
 
 #[cfg(test)]
 mod tests {
+    use portolan_geometry::to_f32;
     use portolan_sensor::PointCloud;
 
     use super::*;
@@ -273,18 +247,5 @@ mod tests {
         assert!(submap_from_node.translation.y.abs() < 0.05, "{submap_from_node}");
         let along = submap_from_node.rotation * open.direction;
         assert!(along.x.abs() > 0.999, "{along}");
-    }
-
-    #[test]
-    fn grids_from_files_have_planes_too() {
-        let mut grid = HybridGrid::new(0.1).unwrap();
-        for x in -20..20 {
-            for y in -20..20 {
-                grid.set_probability([x, y, -7], 0.8);
-                grid.set_probability([x, y, -6], 0.3);
-            }
-        }
-        let floor = planes_of_grid(&grid, 1.0).plane_near(&Point3f::new(0.4, 0.4, -0.68)).unwrap();
-        assert!(floor.normal.z.abs() > 0.999 && (floor.point.z + 0.7).abs() < 1e-3);
     }
 }

@@ -11,9 +11,10 @@ use portolan_optimization::{OptimizationData, OptimizationSummary, optimize_3d};
 use portolan_sensor::SensorId;
 use portolan_submaps::{Submap3d, clouds_in_grids, fast_matcher_options_3d, gradient_matcher_3d};
 
+use crate::made_planes::{as_on_made_planes, as_on_planes_of_sweeps, planes_of_loaded};
 use crate::mapper::MapperWork;
 use crate::place_finder_3d::SpatialPlaces;
-use crate::plane_search::{drift_over, explained_at, find_nearby, planes_of_loaded, refined_by_planes};
+use crate::plane_search::{drift_over, explained_at, find_nearby, refined_by_planes};
 use crate::{
     Constraint, MapperError, MatchAcceptance, MatchedPose, Nearby, NodeData, PlaceFinder, SearchRegion,
     Space, SubmapInMap,
@@ -78,7 +79,7 @@ impl Space for Spatial {
         if submap.planes.is_none()
             && let Some(size) = plane_voxel_size(options)
         {
-            submap.planes = Some(planes_of_loaded(submap, nodes, size as f32));
+            submap.made_planes = Some(planes_of_loaded(submap, nodes, size as f32));
         }
     }
 
@@ -89,7 +90,7 @@ impl Space for Spatial {
         region: &SearchRegion,
         options: &ConstraintBuilderOptions,
     ) -> Nearby {
-        let Some(planes) = &submap.planes else { return Nearby::Unknown };
+        let Some(planes) = submap.planes_to_match() else { return Nearby::Unknown };
         let wanted = to_find(node);
         let error = match region {
             SearchRegion::Window { travelled, .. } => drift_over(*travelled),
@@ -97,7 +98,7 @@ impl Space for Spatial {
             SearchRegion::WholeSubmap { .. } => return Nearby::Unknown,
         };
         let found =
-            find_nearby(planes, &wanted, guess_submap_from_node, error, region.acceptance().min_explained);
+            find_nearby(planes, &wanted, guess_submap_from_node, error, least_explained(submap, region));
         match found {
             Nearby::Found(found)
                 if matches!(region, SearchRegion::WholeSubmap { .. })
@@ -119,7 +120,8 @@ impl Space for Spatial {
     }
 
     fn own_agreement(submap: &Submap3d, node: &NodeData, submap_from_node: &Rigid3) -> Option<ScanAgreement> {
-        let explained = explained_at(submap.planes.as_ref()?, &to_find(node), submap_from_node);
+        let explained = explained_at(submap.planes_to_match()?, &to_find(node), submap_from_node);
+        let explained = as_on_planes_of_sweeps(submap, explained);
         Some(ScanAgreement { explained, in_free_space: 0.0, through_solid: 0.0 })
     }
 
@@ -153,8 +155,8 @@ impl Space for Spatial {
             }
         }?;
         let initial = found.found.pose;
-        if let Some(planes) = &submap.planes {
-            return refined_by_planes(planes, &wanted, &initial, region.acceptance().min_explained);
+        if let Some(planes) = submap.planes_to_match() {
+            return refined_by_planes(planes, &wanted, &initial, least_explained(submap, &region));
         }
         let grids = clouds_in_grids(clouds, submap);
         let refined = matcher.refinement.match_scan(initial.translation.vector, &initial, &grids).pose;
@@ -213,7 +215,12 @@ fn meets_solid_cells(
             >= options.fast_correlative_scan_matcher_3d.min_low_resolution_score
 }
 
-fn to_find(node: &NodeData) -> NodeToFind<'_> {
+/// The fraction of points that has to lie on the planes of a submap.
+fn least_explained(submap: &Submap3d, region: &SearchRegion) -> f32 {
+    as_on_made_planes(submap, region.acceptance().min_explained)
+}
+
+pub(crate) fn to_find(node: &NodeData) -> NodeToFind<'_> {
     NodeToFind {
         high_resolution_cloud: &node.high_resolution_point_cloud,
         low_resolution_cloud: &node.low_resolution_point_cloud,

@@ -18,4 +18,4 @@ pub use scan_matching_2d::{
 pub use scan_matching_3d::{ScanMatcher3d, clouds_in_grids, fast_matcher_options_3d, gradient_matcher_3d};
 pub use search_window::SearchWindow;
 pub use submap_2d::{Inserter2d, Submap2d};
-pub use submap_3d::{Inserter3d, Scan3d, Submap3d};
+pub use submap_3d::{ExplainedByPlanes, Inserter3d, MadePlanes, Scan3d, Submap3d};

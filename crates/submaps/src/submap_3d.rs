@@ -83,6 +83,24 @@ pub struct Scan3d {
     pub local_from_gravity_aligned: Quaternion,
 }
 
+/// Planes made of the points of nodes and the cells of grids.
+#[derive(Clone, Debug)]
+pub struct MadePlanes {
+    /// In the frame of the submap.
+    pub planes: PlaneMap,
+    /// What they explain of scans, where there are scans enough to tell.
+    pub explained: Option<ExplainedByPlanes>,
+}
+
+/// Medians of the fraction of the points of scans that lie on planes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ExplainedByPlanes {
+    /// Of scans that gave no points to the planes, where they were taken.
+    pub where_taken: f32,
+    /// Of scans at wrong places.
+    pub by_chance: f32,
+}
+
 /// Grids in 3D with their place in the local map. The frame of a submap is level; its origin is where
 /// its first scan was taken.
 #[derive(Clone, Debug)]
@@ -101,8 +119,10 @@ pub struct Submap3d {
     pub intensity_grid: Option<IntensityGrid>,
     /// Directions of walls in the frame of the submap, summed over all scans.
     pub rotational_histogram: Vec<f32>,
-    /// Planes of a complete submap, if sweeps are registered to planes; files do not keep them.
+    /// Planes of a complete submap, if sweeps are registered to planes.
     pub planes: Option<PlaneMap>,
+    /// Planes made again of what a file keeps, where it keeps none that sweeps were registered to.
+    pub made_planes: Option<MadePlanes>,
     /// Scans that could not be inserted because they lay too far from the origin of the submap.
     pub refused_scans: u32,
     inserter: Option<Arc<Inserter3d>>,
@@ -117,6 +137,11 @@ pub struct Submap3d {
 const MOST_WAITING_POINTS: usize = 120_000;
 
 impl Submap3d {
+    /// The planes that scans are registered to: those that sweeps were registered to, or else those made of what a file keeps.
+    pub fn planes_to_match(&self) -> Option<&PlaneMap> {
+        self.planes.as_ref().or(self.made_planes.as_ref().map(|made| &made.planes))
+    }
+
     /// An empty submap at an origin in the local map, with the axes of a scan's gravity-aligned frame.
     ///
     /// # Errors
@@ -138,6 +163,7 @@ impl Submap3d {
             intensity_grid,
             rotational_histogram: vec![0.0; inserter.histogram_size],
             planes: None,
+            made_planes: None,
             refused_scans: 0,
             inserter: Some(Arc::clone(inserter)),
             waiting: Vec::new(),
@@ -206,6 +232,7 @@ impl Submap3d {
             intensity_grid: None,
             rotational_histogram,
             planes: None,
+            made_planes: None,
             refused_scans: 0,
             inserter: None,
             waiting: Vec::new(),

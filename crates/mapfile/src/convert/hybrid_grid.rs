@@ -6,6 +6,7 @@ use portolan_mapping::Spatial;
 use portolan_submaps::Submap3d;
 use prost::Message as _;
 
+use super::planes::{planes_from_proto, planes_to_proto};
 use super::values::pose_in_file;
 use super::work::FileWork;
 use super::{MapConversionError, MapSpace};
@@ -27,6 +28,7 @@ impl MapSpace for Spatial {
             high_resolution_hybrid_grid: Some(hybrid_grid_to_proto(&submap.high_resolution_grid)),
             low_resolution_hybrid_grid: Some(hybrid_grid_to_proto(&submap.low_resolution_grid)),
             rotational_scan_matcher_histogram: submap.rotational_histogram.clone(),
+            planes: submap.planes.as_ref().map(planes_to_proto),
         });
     }
 
@@ -53,7 +55,13 @@ impl MapSpace for Spatial {
         }
         let num_range_data = u32::try_from(submap.num_range_data).unwrap_or(0);
         let finished = submap.finished;
-        let submap = Submap3d::from_parts(local_from_submap, num_range_data, finished, grids, histogram);
+        let planes = submap.planes.as_ref().and_then(|message| {
+            let planes = planes_from_proto(message);
+            issues.count(IssueKind::PlanesDamaged, planes.is_none().into());
+            planes
+        });
+        let mut submap = Submap3d::from_parts(local_from_submap, num_range_data, finished, grids, histogram);
+        submap.planes = planes;
         Ok((submap, finished))
     }
 }

@@ -9,6 +9,7 @@ mod option_message;
 // One message has a deprecated field, which is read but not written.
 #[allow(deprecated)]
 mod option_tables;
+mod planes;
 mod pose_graph;
 mod read;
 mod sensors;

@@ -36,6 +36,9 @@ impl ClearedArea {
             for grid in grids.into_iter().flatten() {
                 cleared += self.clear_space(grid, map_from_submap)?;
             }
+            if cleared > 0 {
+                submap.planes = None;
+            }
         }
         Ok(cleared)
     }

@@ -123,6 +123,7 @@ fn submap(i: i32, three_d: bool) -> m::Submap {
             high_resolution_hybrid_grid: Some(grid(0.1)),
             low_resolution_hybrid_grid: Some(grid(0.45)),
             rotational_scan_matcher_histogram: vec![1.0; 10],
+            planes: None,
         });
         return m::Submap { submap_id, submap_2d: None, submap_3d };
     }

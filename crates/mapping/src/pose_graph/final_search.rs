@@ -101,10 +101,14 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
+    /// Pairs that a constraint relates.
+    pub(super) fn tied_pairs(&self) -> BTreeSet<(SubmapId, NodeId)> {
+        self.state.constraints.iter().map(|c| (c.submap_id, c.node_id)).collect()
+    }
+
     /// Pairs of connected trajectories, near each other, that no constraint relates.
     fn untied_pairs(&self) -> Vec<(SubmapId, NodeId)> {
-        let tied: BTreeSet<(SubmapId, NodeId)> =
-            self.state.constraints.iter().map(|c| (c.submap_id, c.node_id)).collect();
+        let tied = self.tied_pairs();
         let nodes: Vec<(NodeId, Vector3)> = self
             .problem
             .nodes

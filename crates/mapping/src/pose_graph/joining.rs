@@ -17,8 +17,9 @@ const MOST_NODES: usize = 64;
 /// second time. Then all of them miss by chance in 4 of 100 such pieces, (1 − 1/8)^24; in 1 of 1000 if half of the piece
 /// lies there.
 const HOPELESS_NODES: usize = 24;
-/// Pairs that are tried around their guess once a trajectory has its place.
+/// Pairs that are tried around their guess once a trajectory has its place, so often at most.
 const MOST_PAIRS: usize = 3000;
+const MOST_ROUNDS: usize = 6;
 /// Nodes closer together than this along their way tell the same, metres.
 const LEAST_SPACING: f64 = 1.0;
 
@@ -36,7 +37,6 @@ impl<S: Space> PoseGraph<S> {
         let lost: BTreeSet<TrajectoryId> =
             joining.iter().copied().filter(|id| !self.is_joined(*id, joining)).collect();
         if lost.is_empty() {
-            self.run_optimization();
             self.close_loops_with(joining);
             self.placed_parts.clear();
             self.run_final_optimization();
@@ -62,8 +62,7 @@ impl<S: Space> PoseGraph<S> {
         }
         // Before parts were put together nobody looked for what lies beside each other now.
         let placed = std::mem::take(&mut self.placed_parts);
-        if !placed.is_empty() && !self.stop.is_asked() {
-            self.run_optimization();
+        if !placed.is_empty() {
             self.close_loops_with(&placed);
         }
     }
@@ -132,13 +131,31 @@ impl<S: Space> PoseGraph<S> {
         complete.flat_map(|(submap_id, _)| nodes.iter().map(|node_id| (*submap_id, *node_id))).collect()
     }
 
-    /// Tries pairs of either side that are near each other now.
+    /// Closes loops of these trajectories with all others: optimises, tries what lies near each other then, and again as long as that
+    /// finds more. Far from where they were tied first they lie as far off as both have drifted, and come within reach step by step.
     pub(super) fn close_loops_with(&mut self, joining: &BTreeSet<TrajectoryId>) {
+        for _ in 0..MOST_ROUNDS {
+            if self.stop.is_asked() {
+                return;
+            }
+            self.run_optimization();
+            let before = self.state.constraints.len();
+            self.try_pairs_with(joining);
+            if self.state.constraints.len() == before {
+                return;
+            }
+        }
+    }
+
+    /// Tries pairs of either side that are near each other now.
+    fn try_pairs_with(&mut self, joining: &BTreeSet<TrajectoryId>) {
+        let tied = self.tied_pairs();
         let (new, old): (Vec<NodeId>, Vec<NodeId>) =
             self.spaced_nodes().into_iter().partition(|id| joining.contains(&id.trajectory_id));
         let mut pairs = self.pairs(&new, |id| !joining.contains(&id));
         pairs.extend(self.pairs(&old, |id| joining.contains(&id)));
-        let with_guess = pairs.into_iter().filter_map(|(submap_id, node_id)| {
+        let untied = pairs.into_iter().filter(|pair| !tied.contains(pair));
+        let with_guess = untied.filter_map(|(submap_id, node_id)| {
             let map_from_submap = self.problem.submaps.get(&submap_id)?;
             let guess = map_from_submap.inverse() * self.problem.nodes.get(&node_id)?.map_from_node;
             let entry = self.state.submaps.get(&submap_id)?;
@@ -148,13 +165,13 @@ impl<S: Space> PoseGraph<S> {
         let near: Vec<_> = with_guess.collect();
         let share = (MOST_PAIRS as f64 / near.len().max(1) as f64).min(1.0);
         let Ok(mut sampler) = FixedRatioSampler::new(share) else { return };
+        // Every pair tells something of how the two lie, however short the path over others is.
+        self.search.set_policy(LoopSearchPolicy { spacing: 0.0, ..self.loop_search() });
         for (submap_id, node_id, guess) in near.into_iter().filter(|_| sampler.pulse()) {
             if let Some((submap, node)) = self.state.pair(submap_id, node_id) {
                 self.search.add_unsampled(submap, node, guess);
             }
         }
-        // Every pair tells something of how the two lie, however short the path over others is.
-        self.search.set_policy(LoopSearchPolicy { spacing: 0.0, ..self.loop_search() });
         let travel = self.travel_graph();
         let found = self.search.run(&travel, &self.remembered);
         self.search.set_policy(self.loop_search());

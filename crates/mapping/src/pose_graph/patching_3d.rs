@@ -71,6 +71,7 @@ impl PoseGraph<Spatial> {
             }
             let submap = Arc::make_mut(submap);
             submap.planes = None;
+            submap.made_planes = None;
             let submap_from_map = map_from_submap.inverse();
             let both = [&mut submap.high_resolution_grid, &mut submap.low_resolution_grid];
             for ((grid, gone), new) in both.into_iter().zip(&gone).zip(new) {

@@ -64,7 +64,6 @@ impl<S: Space> PoseGraph<S> {
         self.places.save_for(self.state.nodes.len());
         self.place(id, new);
         if self.is_joined(id, new) {
-            self.run_optimization();
             self.close_loops_with(new);
             self.run_optimization();
         }
