@@ -105,6 +105,7 @@ fn types() -> BTreeMap<String, Again> {
     "mapping.proto.TrajectoryBuilderOptionsWithSensorIds" => mapping::TrajectoryBuilderOptionsWithSensorIds,
     "mapping.proto.AllTrajectoryBuilderOptions" => mapping::AllTrajectoryBuilderOptions,
     "mapping.proto.TrajectoryNodeData" => mapping::TrajectoryNodeData,
+    "mapping.proto.PlanarVoxelMap" => mapping::PlanarVoxelMap,
     "mapping.proto.TSDF2D" => mapping::Tsdf2d,
     "mapping.proto.TSDFRangeDataInserterOptions2D" => mapping::TsdfRangeDataInserterOptions2D,
     "sensor.proto.AdaptiveVoxelFilterOptions" => sensor::AdaptiveVoxelFilterOptions,

@@ -4,6 +4,7 @@ use nalgebra as na;
 
 use super::{PlaneMap, Unreliable};
 use crate::plane_fit::{PlaneCell, PlaneFit};
+use crate::settings::constants::plane_map::VOXEL_OFFSET;
 use crate::voxel_tree::{LEVELS, SMALLEST_IN_ALL, SMALLEST_IN_LARGEST, Smallest};
 
 /// The plane of one voxel of a [`PlaneMap`], as a file keeps it.
@@ -32,9 +33,9 @@ pub struct PlaneRecord {
 impl PlaneRecord {
     /// The corner of the voxel where each coordinate is least, metres, where the largest voxels have this edge.
     pub fn corner(&self, edge: f32) -> na::Vector3<f64> {
+        let corner_of_all = f64::from(VOXEL_OFFSET * SMALLEST_IN_LARGEST + 0.5 * SMALLEST_IN_ALL);
         let size = f64::from(edge / SMALLEST_IN_LARGEST);
-        na::Vector3::from(self.voxel)
-            .map(|index| (f64::from(index) - f64::from(SMALLEST_IN_ALL) / 2.0) * size)
+        na::Vector3::from(self.voxel).map(|index| (f64::from(index) - corner_of_all) * size)
     }
 
     /// The cell of this plane, its size and place; none if a number is none, or the voxel lies outside of all maps.
