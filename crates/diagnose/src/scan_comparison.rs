@@ -77,31 +77,7 @@ pub fn compare_scans(
     inventory: &Inventory,
     plan: &SensorPlan,
 ) -> Result<ScanComparison, RecordingError> {
-    let odometry = plan.odometry.as_ref().map(|odometry| &odometry.source);
-    let mut wheels = Wheels { planned: plan.odometry.as_ref(), ..Wheels::default() };
-    let mut gyroscope = plan.imu.as_ref().map(ScanGyroscope::new);
-    let mut scanners: Vec<Scanner> = plan.range.iter().map(Scanner::new).collect();
-    let is_wanted = |topic: &TopicInfo| {
-        plan.odometry.as_ref().is_some_and(|odometry| match odometry.topic() {
-            Some(of_odometry) => *of_odometry == topic.topic,
-            None => is_tf(&topic.type_name),
-        }) || plan.imu.as_ref().is_some_and(|imu| imu.source.topic == topic.topic)
-            || plan.range.iter().any(|range| range.source.topic == topic.topic)
-    };
-    let mut reader = read_without_repeats(recording, &is_wanted)?;
-    let mut first = None;
-    while let Some(message) = reader.next_message()? {
-        if message.log_time - *first.get_or_insert(message.log_time) > LOOK {
-            break;
-        }
-        wheels.add(&message.topic, &message.message);
-        if let Some(gyroscope) = gyroscope.as_mut().filter(|g| g.planned.source.topic == message.topic) {
-            gyroscope.add(&message.message);
-        }
-        for scanner in scanners.iter_mut().filter(|s| s.planned.source.topic == message.topic) {
-            scanner.add(&message.message);
-        }
-    }
+    let Compared { mut wheels, gyroscope, mut scanners } = read_compared(recording, plan)?;
     let noises = scanners.iter().filter_map(Scanner::range_noise).collect();
     // Stamps that are not believed tell nothing of motion but that odometry has none.
     let mut jitters = Vec::new();
@@ -127,11 +103,50 @@ pub fn compare_scans(
             let (fault, delay) = gyroscope.compare(inventory, (&scanner.planned.source, &turns));
             (all.imu_fault, all.imu_delay) = (fault, delay);
         }
-        if let Some(odometry) = odometry {
+        if let Some(odometry) = plan.odometry.as_ref().map(|odometry| &odometry.source) {
             all = wheels.compare(inventory, odometry, (scanner, seconds), all);
         }
     }
     Ok(ScanComparison { durations, noises, jitters, ..all })
+}
+
+/// The sensors that are compared, and what they told.
+struct Compared<'a> {
+    wheels: Wheels<'a>,
+    gyroscope: Option<ScanGyroscope<'a>>,
+    scanners: Vec<Scanner<'a>>,
+}
+
+/// Reads what the sensors of a plan tell at the beginning of a recording.
+fn read_compared<'a>(
+    recording: &dyn Recording,
+    plan: &'a SensorPlan,
+) -> Result<Compared<'a>, RecordingError> {
+    let mut wheels = Wheels { planned: plan.odometry.as_ref(), ..Wheels::default() };
+    let mut gyroscope = plan.imu.as_ref().map(ScanGyroscope::new);
+    let mut scanners: Vec<Scanner> = plan.range.iter().map(Scanner::new).collect();
+    let is_wanted = |topic: &TopicInfo| {
+        plan.odometry.as_ref().is_some_and(|odometry| match odometry.topic() {
+            Some(of_odometry) => *of_odometry == topic.topic,
+            None => is_tf(&topic.type_name),
+        }) || plan.imu.as_ref().is_some_and(|imu| imu.source.topic == topic.topic)
+            || plan.range.iter().any(|range| range.source.topic == topic.topic)
+    };
+    let mut reader = read_without_repeats(recording, &is_wanted)?;
+    let mut first = None;
+    while let Some(message) = reader.next_message()? {
+        if message.log_time - *first.get_or_insert(message.log_time) > LOOK {
+            break;
+        }
+        wheels.add(&message.topic, &message.message);
+        if let Some(gyroscope) = gyroscope.as_mut().filter(|g| g.planned.source.topic == message.topic) {
+            gyroscope.add(&message.message);
+        }
+        for scanner in scanners.iter_mut().filter(|s| s.planned.source.topic == message.topic) {
+            scanner.add(&message.message);
+        }
+    }
+    Ok(Compared { wheels, gyroscope, scanners })
 }
 
 /// What a scanner tells.

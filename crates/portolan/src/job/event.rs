@@ -2,7 +2,7 @@
 
 use std::fmt;
 use std::ops::ControlFlow;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use portolan_export::PictureError;
 use portolan_ingest::Notice;
@@ -183,11 +183,7 @@ impl fmt::Display for Remark {
                 write!(f, "{}: repaired: {issue} ({}x)", path.display(), issue.count)
             }
             Self::KnownMapLoaded { path, trajectories } => {
-                let number = |(old, new): &(i32, TrajectoryId)| {
-                    if *old == new.0 as i32 { new.to_string() } else { format!("{old} as {new}") }
-                };
-                let numbers: Vec<String> = trajectories.iter().map(number).collect();
-                write!(f, "{}: trajectory {}", path.display(), numbers.join(", "))
+                write!(f, "{}: trajectory {}", path.display(), numbers_of(trajectories))
             }
             Self::NoPicture(error) => write!(f, "no map.png: {error}"),
             Self::NoRosMap(error) => write!(f, "no map.pgm: {error}"),
@@ -197,21 +193,12 @@ impl fmt::Display for Remark {
                     "map.pgm has cells of {resolution_metres} m: with {usual_metres} m it would be too large"
                 )
             }
-            Self::Resumed { path, answers, cut_off } => {
-                write!(f, "{}: {answers} results of an earlier run are used again", path.display())?;
-                if *cut_off > 0 { write!(f, "; {cut_off} bytes at its end were not whole") } else { Ok(()) }
-            }
+            Self::Resumed { path, answers, cut_off } => write_resumed(f, path, *answers, *cut_off),
             Self::NoJournal { folder, reason } => {
                 let folder = folder.display();
                 write!(f, "{folder}: no journal ({reason}): if this run is cut off, --resume finds nothing")
             }
-            Self::JournalReplaced(path) => {
-                let path = path.display();
-                write!(
-                    f,
-                    "{path} of an earlier run that was cut off is replaced; --resume would go on with it"
-                )
-            }
+            Self::JournalReplaced(path) => write_journal_replaced(f, path),
             Self::JournalLeft(path) => {
                 write!(f, "{} stays: the same command with --resume maps the rest", path.display())
             }
@@ -222,14 +209,11 @@ impl fmt::Display for Remark {
             Self::KeptScansUnreadable(error) => {
                 write!(f, "scans that were kept cannot be read ({error}): X-rays need a second pass")
             }
-            Self::NoMap { left } => {
-                let left = if *left { "; map.pbstream there is of an earlier run" } else { "" };
-                write!(f, "no map was written, because it could not be trusted{left}")
+            Self::NoMap { left: true } => {
+                write!(f, "{NO_MAP}; map.pbstream there is of an earlier run")
             }
-            Self::LeftoversRemoved { folder, count } => {
-                let files = counted(*count as u64, "temporary file", "temporary files");
-                write!(f, "{}: {files} of a run that was killed removed", folder.display())
-            }
+            Self::NoMap { left: false } => f.write_str(NO_MAP),
+            Self::LeftoversRemoved { folder, count } => write_leftovers(f, folder, *count),
             Self::LeftoverKept(path) => {
                 write!(f, "{}: if no program is writing this temporary file, remove it", path.display())
             }
@@ -248,6 +232,33 @@ impl fmt::Display for Remark {
             Self::StoppedSecondPass => f.write_str("stopped: nothing was made of the second pass"),
         }
     }
+}
+
+/// Why there is no map.
+const NO_MAP: &str = "no map was written, because it could not be trusted";
+
+/// Numbers of trajectories in the map that is made, with those in the known map where they differ.
+fn numbers_of(trajectories: &[(i32, TrajectoryId)]) -> String {
+    let number = |(old, new): &(i32, TrajectoryId)| {
+        if *old == new.0 as i32 { new.to_string() } else { format!("{old} as {new}") }
+    };
+    let numbers: Vec<String> = trajectories.iter().map(number).collect();
+    numbers.join(", ")
+}
+
+fn write_resumed(f: &mut fmt::Formatter<'_>, path: &Path, answers: usize, cut_off: u64) -> fmt::Result {
+    write!(f, "{}: {answers} results of an earlier run are used again", path.display())?;
+    if cut_off > 0 { write!(f, "; {cut_off} bytes at its end were not whole") } else { Ok(()) }
+}
+
+fn write_journal_replaced(f: &mut fmt::Formatter<'_>, path: &Path) -> fmt::Result {
+    let path = path.display();
+    write!(f, "{path} of an earlier run that was cut off is replaced; --resume would go on with it")
+}
+
+fn write_leftovers(f: &mut fmt::Formatter<'_>, folder: &Path, count: usize) -> fmt::Result {
+    let files = counted(count as u64, "temporary file", "temporary files");
+    write!(f, "{}: {files} of a run that was killed removed", folder.display())
 }
 
 /// Tells a remark.

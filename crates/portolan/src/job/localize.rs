@@ -14,7 +14,7 @@ use portolan_mapfile::{FrozenTrajectories, MapSpace, PlacedTexture, submap_textu
 use portolan_mapping::{Map, Planar, Space, Spatial};
 use portolan_optimization::LandmarkNode;
 use portolan_recording::Recording;
-use portolan_sensor::SensorId;
+use portolan_sensor::{Measurement, SensorId};
 use portolan_spool::Spool;
 
 use super::error::JobError;
@@ -140,57 +140,32 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
     let start = start(request, &graph, &frame)?;
     let mut plan = preparation.plan.clone();
     let fixes = FixesInMap::of(request, &graph, preparation.inventory(), &mut plan)?;
-    let mut ingestion =
-        Ingestion::with_plan(recording, preparation.inventory(), plan.clone(), &request.ingest)
-            .map_err(PipelineError::from)?;
+    let ingestion = Ingestion::with_plan(recording, preparation.inventory(), plan.clone(), &request.ingest)
+        .map_err(PipelineError::from)?;
     let sensors: BTreeSet<SensorId> = ingestion.sensors().into_iter().collect();
-    let settings =
-        LocalizerSettings { start, threads: request.threads, keeps_track: request.save_map.is_some() };
-    // The map knows the far walls; the local track draws what its beams hit.
-    let mut options = preparation.options.clone();
-    options.portolan.join_surfaces = false;
-    let mut localizer = Localizer::new(map, &options, &sensors, &settings)?;
-    let mut estimates: Spool<Estimate> = Spool::in_folder(existing(&request.folder));
-    let (mut silences, mut tally) = (Silences::default(), ScanTally::default());
-    let mut interrupted = false;
-    while let Some((sensor_id, measurement)) = ingestion.next_measurement().map_err(PipelineError::from)? {
-        silences.add(&sensor_id, measurement.time());
-        tally.add(&measurement);
-        if let Some(fix) = fixes.as_ref().and_then(|fixes| fixes.newest(&ingestion, &measurement)) {
-            localizer.add_fix(fix);
-        }
-        let known = localizer.add(&sensor_id, measurement).into_iter();
-        known.for_each(|estimate| estimates.push(estimate.in_map(&frame)));
-        let (position_bytes, total_bytes) = ingestion.progress();
-        let state = estimates.last().map_or(State::Searching, |e| e.state);
-        if observe(&Event::Localizing { position_bytes, total_bytes, state }).is_break() {
-            interrupted = true;
-            break;
-        }
-    }
-    localizer.finish().into_iter().for_each(|estimate| estimates.push(estimate.in_map(&frame)));
-    if estimates.is_empty() {
-        return Err(PipelineError::NoScans(Box::new(tally.verdict(&localizer.issues()))).into());
-    }
+    let localizer = localizer(map, request, preparation, &sensors, start)?;
+    let mut run = Run {
+        ingestion,
+        fixes,
+        localizer,
+        frame,
+        estimates: Spool::in_folder(existing(&request.folder)),
+        silences: Silences::default(),
+        tally: ScanTally::default(),
+        interrupted: false,
+    };
+    run.read(observe)?;
     let saved_map = match &request.save_map {
-        Some(_) if interrupted => Some(SavedMap::Interrupted),
-        Some(wanted) => {
-            let estimates: Vec<Estimate> = estimates.iter().collect();
-            let known = KnownFile { path: &request.map, map: graph, frame };
-            Some(wanted.save(known, &mut localizer, ingestion.sensors(), &estimates)?)
-        }
+        Some(wanted) => Some(run.save_map(wanted, KnownFile { path: &request.map, map: graph, frame })?),
         None => None,
     };
-    issues.merge(&ingestion.issues());
-    if !interrupted {
-        issues.merge(&silences.issues());
-    }
-    issues.append(&localizer.issues());
+    run.add_issues(&mut issues);
     if let Some(SavedMap::Unsound(found)) = &saved_map {
         issues.append(found);
     }
+    let localizer = run.localizer;
     Ok(LocalizedRecording {
-        estimates,
+        estimates: run.estimates,
         dimension: preparation.dimension,
         plan,
         start: start.or_else(|| localizer.told()).map(|start| start.in_map(&frame)),
@@ -199,11 +174,92 @@ fn localize_in<M: KnownMap<Space: MapSpace>>(
         start_agrees: localizer.start_agrees(),
         changes: localizer.changes().into_iter().map(|change| change.in_map(&frame)).collect(),
         issues,
-        recorded_times: ingestion.recorded_times().clone(),
+        recorded_times: run.ingestion.recorded_times().clone(),
         textures,
         saved_map,
-        interrupted,
+        interrupted: run.interrupted,
     })
+}
+
+/// What finds the recording in the map.
+fn localizer<M: KnownMap>(
+    map: M,
+    request: &LocalizeRequest,
+    preparation: &Preparation,
+    sensors: &BTreeSet<SensorId>,
+    start: Option<StartPose>,
+) -> Result<Localizer<M>, JobError> {
+    let settings =
+        LocalizerSettings { start, threads: request.threads, keeps_track: request.save_map.is_some() };
+    // The map knows the far walls; the local track draws what its beams hit.
+    let mut options = preparation.options.clone();
+    options.portolan.join_surfaces = false;
+    Ok(Localizer::new(map, &options, sensors, &settings)?)
+}
+
+/// A recording that a localizer reads, and what it has found so far.
+struct Run<M: KnownMap> {
+    ingestion: Ingestion,
+    fixes: Option<FixesInMap>,
+    localizer: Localizer<M>,
+    frame: NearFrame,
+    /// In the map.
+    estimates: Spool<Estimate>,
+    silences: Silences,
+    tally: ScanTally,
+    interrupted: bool,
+}
+
+impl<M: KnownMap<Space: MapSpace>> Run<M> {
+    /// Reads to the end, or until the observer stops it.
+    fn read(&mut self, observe: &mut Observer) -> Result<(), JobError> {
+        while let Some((sensor_id, measurement)) =
+            self.ingestion.next_measurement().map_err(PipelineError::from)?
+        {
+            self.add(&sensor_id, measurement);
+            let (position_bytes, total_bytes) = self.ingestion.progress();
+            let state = self.estimates.last().map_or(State::Searching, |e| e.state);
+            if observe(&Event::Localizing { position_bytes, total_bytes, state }).is_break() {
+                self.interrupted = true;
+                break;
+            }
+        }
+        let last = self.localizer.finish().into_iter();
+        last.for_each(|estimate| self.estimates.push(estimate.in_map(&self.frame)));
+        if self.estimates.is_empty() {
+            let verdict = std::mem::take(&mut self.tally).verdict(&self.localizer.issues());
+            return Err(PipelineError::NoScans(Box::new(verdict)).into());
+        }
+        Ok(())
+    }
+
+    fn add(&mut self, sensor_id: &SensorId, measurement: Measurement) {
+        self.silences.add(sensor_id, measurement.time());
+        self.tally.add(&measurement);
+        if let Some(fix) = self.fixes.as_ref().and_then(|fixes| fixes.newest(&self.ingestion, &measurement)) {
+            self.localizer.add_fix(fix);
+        }
+        let known = self.localizer.add(sensor_id, measurement).into_iter();
+        known.for_each(|estimate| self.estimates.push(estimate.in_map(&self.frame)));
+    }
+
+    /// Lets the known map grow by the recording, and writes it, unless the reading was stopped.
+    fn save_map(&mut self, wanted: &SaveMap, known: KnownFile<'_, M::Space>) -> Result<SavedMap, JobError> {
+        if self.interrupted {
+            return Ok(SavedMap::Interrupted);
+        }
+        let estimates: Vec<Estimate> = self.estimates.iter().collect();
+        wanted.save(known, &mut self.localizer, self.ingestion.sensors(), &estimates)
+    }
+
+    /// Adds what was repaired or left out.
+    fn add_issues(&self, issues: &mut IssueLog) {
+        issues.merge(&self.ingestion.issues());
+        if !self.interrupted {
+            issues.merge(&self.silences.issues());
+        }
+        issues.append(&self.localizer.issues());
+    }
 }
 
 /// A folder, or, where it is not there yet, the nearest one in which it will be.

@@ -99,27 +99,12 @@ pub(super) fn report<S: Space>(
         "loop_closures": loops,
         "contradicted_loop_closures": mapped.map.graph.contradicted_loop_closures(),
         "unsupported_loop_closures": mapped.map.graph.unsupported_loop_closures(),
-        "self_consistency": {
-            "places": mapped.map.graph.self_consistency().places,
-            "contradicted": mapped.map.graph.self_consistency().contradicted,
-            "longest_row": mapped.map.graph.self_consistency().longest_row,
-            "contradictory": mapped.map.graph.self_consistency().is_contradictory(),
-        },
+        "self_consistency": self_consistency(mapped),
         "drift": {
             "sigma_m": mapped.map.graph.drift().translation,
             "sigma_deg": mapped.map.graph.drift().rotation.to_degrees(),
         },
-        "known_map": Localisation::of(mapped).map(|l| serde_json::json!({
-            "loop_closures": l.loop_closures,
-            "first_found_after_seconds": l.first_found_after_seconds,
-            "placed_after_seconds": l.placed_after_seconds,
-            "places": l.agreement.places,
-            "contradicted": l.agreement.contradicted,
-            "confirmed": l.agreement.confirmed,
-            "place": l.place().name(),
-            "start_error_m": l.error_of_told_start.map(|(metres, _)| metres),
-            "trusted": l.is_trusted(),
-        })),
+        "known_map": Localisation::of(mapped).map(|localisation| known_map(&localisation)),
         "recording_seconds": mapped.recording_seconds,
         "wall_seconds": seconds,
         "real_time_factor": mapped.recording_seconds / seconds.max(1e-3),
@@ -140,6 +125,32 @@ pub(super) fn report<S: Space>(
         "options": mapped.map.options,
         "issues": mapped.issues,
         "data_lost": mapped.lost_data(),
+    })
+}
+
+/// Whether places that the recording passed several times agree with each other.
+fn self_consistency<S: Space>(mapped: &MappedRecording<S>) -> serde_json::Value {
+    let consistency = mapped.map.graph.self_consistency();
+    serde_json::json!({
+        "places": consistency.places,
+        "contradicted": consistency.contradicted,
+        "longest_row": consistency.longest_row,
+        "contradictory": consistency.is_contradictory(),
+    })
+}
+
+/// Where the recording lies in the known map, and whether that can be trusted.
+fn known_map(localisation: &Localisation) -> serde_json::Value {
+    serde_json::json!({
+        "loop_closures": localisation.loop_closures,
+        "first_found_after_seconds": localisation.first_found_after_seconds,
+        "placed_after_seconds": localisation.placed_after_seconds,
+        "places": localisation.agreement.places,
+        "contradicted": localisation.agreement.contradicted,
+        "confirmed": localisation.agreement.confirmed,
+        "place": localisation.place().name(),
+        "start_error_m": localisation.error_of_told_start.map(|(metres, _)| metres),
+        "trusted": localisation.is_trusted(),
     })
 }
 

@@ -34,14 +34,19 @@ const ODOMETRY: usize = 0;
 
 pub(super) struct CarmenReader {
     lines: Lines,
+    queue: MessageQueue,
+    static_transforms: Option<RecordedMessage>,
+    ended: bool,
+}
+
+/// Makes messages of lines, and holds them until their place is certain.
+struct MessageQueue {
     layout: Arc<Layout>,
     /// In the order in which messages of the same time stand: odometry, then the scanners.
     outputs: Vec<Output>,
     frames: Frames,
-    static_transforms: Option<RecordedMessage>,
     reorder: Reorder<Waiting>,
     newest: Time,
-    ended: bool,
     unused: BTreeSet<String>,
     issues: IssueLog,
 }
@@ -71,84 +76,94 @@ impl CarmenReader {
         Ok(Self {
             lines: file.lines()?,
             ended: !outputs.iter().any(|output| output.is_wanted),
-            outputs,
-            frames,
+            queue: MessageQueue {
+                layout,
+                outputs,
+                frames,
+                reorder: Reorder::default(),
+                newest: Time::MIN,
+                unused: BTreeSet::new(),
+                issues: IssueLog::default(),
+            },
             static_transforms,
-            layout,
-            reorder: Reorder::default(),
-            newest: Time::MIN,
-            unused: BTreeSet::new(),
-            issues: IssueLog::default(),
         })
     }
 
     /// Reads one line. False at the end.
     fn advance(&mut self) -> Result<bool, RecordingError> {
-        // Taken apart, because the line borrows from `lines`.
-        let Self { lines, layout, outputs, frames, reorder, newest, unused, issues, .. } = self;
-        let Some(line) = lines.next_line()? else {
-            if let Some(damage) = lines.damage() {
-                issues.add(Issue::new(IssueKind::DamagedCompressedText).with("error", damage));
-            }
-            issues.count(IssueKind::OverlongLine, lines.overlong());
-            return Ok(false);
-        };
-        let wants = |topic: usize| outputs.get(topic).is_some_and(|output| output.is_wanted);
-        let mut push = |topic: usize, stamp: Time, message: Message, bytes: usize, issues: &mut IssueLog| {
-            *newest = stamp.max(*newest);
-            let time = if layout.in_order_of_lines { *newest } else { stamp };
-            if reorder.push(time, topic as u32, bytes, (topic, message)) {
-                issues.add(IssueKind::LinesReordered);
-            }
-        };
+        if let Some(line) = self.lines.next_line()? {
+            self.queue.add_line(line);
+            return Ok(true);
+        }
+        let issues = &mut self.queue.issues;
+        if let Some(damage) = self.lines.damage() {
+            issues.add(Issue::new(IssueKind::DamagedCompressedText).with("error", damage));
+        }
+        issues.count(IssueKind::OverlongLine, self.lines.overlong());
+        Ok(false)
+    }
+}
+
+impl MessageQueue {
+    fn add_line(&mut self, line: &[u8]) {
         match parse_line(line, true) {
             Line::Nothing | Line::Param { .. } => {}
-            Line::Bad => issues.add(IssueKind::UnreadableLine),
+            Line::Bad => self.issues.add(IssueKind::UnreadableLine),
             Line::Unused(name) => {
-                if unused.len() < MAX_UNUSED_KINDS {
-                    unused.insert(name.to_owned());
+                if self.unused.len() < MAX_UNUSED_KINDS {
+                    self.unused.insert(name.to_owned());
                 }
             }
-            Line::Odometry { pose, times } => match layout.clock.stamp(times) {
-                None => issues.add(IssueKind::UnreadableLineTime),
-                Some(stamp) if wants(ODOMETRY) && layout.odometry == Some(OdometrySource::OwnLines) => {
-                    push(ODOMETRY, stamp, odometry(stamp, pose, frames), 1024, issues);
-                }
-                Some(_) => {}
+            Line::Odometry { pose, times } => match self.layout.clock.stamp(times) {
+                None => self.issues.add(IssueKind::UnreadableLineTime),
+                Some(stamp) => self.add_odometry(OdometrySource::OwnLines, stamp, pose),
             },
-            Line::Laser { laser, times } => {
-                let Some(stamp) = layout.clock.stamp(times) else {
-                    issues.add(IssueKind::UnreadableLineTime);
-                    return Ok(true);
-                };
-                if let (Some((_, robot)), true) = (laser.poses, wants(ODOMETRY))
-                    && layout.odometry == Some(OdometrySource::Scans(laser.kind))
-                {
-                    push(ODOMETRY, stamp, odometry(stamp, robot, frames), 1024, issues);
-                }
-                match layout.scanners.iter().enumerate().find(|(_, s)| s.kind == laser.kind) {
-                    None => issues.add(IssueKind::ScanInOtherFormat),
-                    Some((index, scanner)) if wants(index + 1) => {
-                        let bytes = 256 + 4 * (laser.ranges.len() + laser.remissions.len());
-                        let frame = scanner.frame.clone();
-                        push(
-                            index + 1,
-                            stamp,
-                            laser_scan(stamp, laser, &layout.survey, frame),
-                            bytes,
-                            issues,
-                        );
-                    }
-                    Some(_) => {}
-                }
-            }
+            Line::Laser { laser, times } => match self.layout.clock.stamp(times) {
+                None => self.issues.add(IssueKind::UnreadableLineTime),
+                Some(stamp) => self.add_laser(stamp, laser),
+            },
         }
-        Ok(true)
     }
 
-    fn pop(&mut self) -> Option<RecordedMessage> {
+    /// Adds a pose of odometry, if poses are taken from there.
+    fn add_odometry(&mut self, source: OdometrySource, stamp: Time, pose: PlanarPose) {
+        if self.wants(ODOMETRY) && self.layout.odometry == Some(source) {
+            let message = odometry(stamp, pose, &self.frames);
+            self.push(ODOMETRY, stamp, message, 1024);
+        }
+    }
+
+    fn add_laser(&mut self, stamp: Time, laser: LaserLine) {
+        if let Some((_, robot)) = laser.poses {
+            self.add_odometry(OdometrySource::Scans(laser.kind), stamp, robot);
+        }
+        match self.layout.scanners.iter().enumerate().find(|(_, s)| s.kind == laser.kind) {
+            None => self.issues.add(IssueKind::ScanInOtherFormat),
+            Some((index, scanner)) if self.wants(index + 1) => {
+                let bytes = 256 + 4 * (laser.ranges.len() + laser.remissions.len());
+                let message = laser_scan(stamp, laser, &self.layout.survey, scanner.frame.clone());
+                self.push(index + 1, stamp, message, bytes);
+            }
+            Some(_) => {}
+        }
+    }
+
+    fn wants(&self, topic: usize) -> bool {
+        self.outputs.get(topic).is_some_and(|output| output.is_wanted)
+    }
+
+    fn push(&mut self, topic: usize, stamp: Time, message: Message, bytes: usize) {
+        self.newest = stamp.max(self.newest);
+        let time = if self.layout.in_order_of_lines { self.newest } else { stamp };
+        if self.reorder.push(time, topic as u32, bytes, (topic, message)) {
+            self.issues.add(IssueKind::LinesReordered);
+        }
+    }
+
+    /// The next message if its place is certain, or `at_end`.
+    fn pop(&mut self, at_end: bool) -> Option<RecordedMessage> {
         loop {
-            let (log_time, (topic, message), too_late) = self.reorder.pop(self.ended)?;
+            let (log_time, (topic, message), too_late) = self.reorder.pop(at_end)?;
             if too_late {
                 self.issues.add(IssueKind::LinesOutOfOrder);
             }
@@ -170,7 +185,7 @@ impl MessageReader for CarmenReader {
             return Ok(Some(message));
         }
         loop {
-            if let Some(message) = self.pop() {
+            if let Some(message) = self.queue.pop(self.ended) {
                 return Ok(Some(message));
             }
             if self.ended {
@@ -185,8 +200,8 @@ impl MessageReader for CarmenReader {
     }
 
     fn issues(&self) -> Vec<Issue> {
-        let mut issues = self.issues.clone();
-        for kind in &self.unused {
+        let mut issues = self.queue.issues.clone();
+        for kind in &self.queue.unused {
             issues.add(Issue::new(IssueKind::UnusedLines).with("kind", kind));
         }
         issues.list()

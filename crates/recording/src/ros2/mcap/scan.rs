@@ -76,6 +76,24 @@ struct Scan<'a> {
     visited_chunks: usize,
 }
 
+/// What bounds the records of a chunk. The length stands twice in it: an intact one agrees with itself and with what follows.
+struct ChunkBounds {
+    /// Where the records begin.
+    data: u64,
+    /// Where they end by the length of the records.
+    data_end: u64,
+    /// Where they end by the length of the chunk.
+    record_end: u64,
+    /// Where the next chunk begins by the summary; the end of the messages if it names none.
+    next_chunk: u64,
+}
+
+impl ChunkBounds {
+    fn contradict(&self) -> bool {
+        self.data_end != self.record_end || self.data_end > self.next_chunk
+    }
+}
+
 /// A chunk whose message indexes are being read.
 struct PendingChunk {
     segment: Segment,
@@ -157,43 +175,31 @@ impl Scan<'_> {
         Ok(end)
     }
 
-    /// Takes a chunk in. Long, because every step needs to know which of the lengths before it agreed.
+    /// Takes a chunk in; returns where the next record starts.
     fn chunk(&mut self, at: u64, record: &PeekedRecord) -> Result<u64, RecordingError> {
-        let content = at + RECORD_HEAD_BYTES as u64;
         let Some(head) = ChunkHead::parse(&record.content) else {
             self.index.issues.add(IssueKind::UnreadableBytes);
             return Ok(self.find_record(at + 1)?.unwrap_or(self.end));
         };
-        let data = content + head.records_start;
         let place = self.summary.chunks.get(&at).cloned();
         self.visited_chunks += usize::from(place.is_some());
-        let next_chunk = self.summary.chunks.range(at + 1..).next().map_or(self.end, |(offset, _)| *offset);
-        // The length stands twice in a chunk: an intact one agrees with itself and with what follows.
-        let record_end = at.saturating_add(record.record_bytes);
-        let mut data_end = data.saturating_add(head.records_bytes);
-        let lies = data_end != record_end || data_end > next_chunk;
+        let bounds = self.chunk_bounds(at, record, &head);
+        let lies = bounds.contradict();
         let Some(compression) = head.compression else {
             self.index.issues.add(IssueKind::UnknownChunkCompression);
-            return Ok(record_end.min(next_chunk));
+            return Ok(bounds.record_end.min(bounds.next_chunk));
         };
         if compression == Compression::None && (lies || head.records_bytes > MAX_SEGMENT_BYTES) {
             // Its records are as good outside of it.
             if lies {
                 self.index.issues.add(IssueKind::WrongChunkLength);
             }
-            return Ok(data);
+            return Ok(bounds.data);
         }
-        if lies {
-            let whole =
-                [data_end, record_end].into_iter().filter(|end| (data..=next_chunk).contains(end)).min();
-            data_end = match whole {
-                Some(end) => end,
-                None => self.find_record(data)?.unwrap_or(self.end).min(next_chunk),
-            };
-        }
+        let data_end = if lies { self.likely_data_end(&bounds)? } else { bounds.data_end };
         let segment = Segment {
-            offset: data,
-            stored_bytes: data_end - data,
+            offset: bounds.data,
+            stored_bytes: data_end - bounds.data,
             unpacked_bytes: head.unpacked_bytes,
             compression,
             crc: head.crc,
@@ -201,31 +207,53 @@ impl Scan<'_> {
             last: head.last,
             connections: None,
         };
-        // A chunk without messages has no times either.
-        let has_times = head.last > 0;
-        let known = |id: &u32| self.summary.channels.connections.contains_key(id);
-        let sound = |place: &ChunkPlace| {
-            self.trusted
-                && !lies
-                && place.chunk_bytes == record.record_bytes
-                && (has_times || !place.channels.is_empty())
-                && match (place.channels.as_slice(), &self.summary.statistics) {
-                    // Without message indexes it may hold any channel.
-                    ([], Some(statistics)) => statistics.counts.keys().all(known),
-                    (channels, _) => channels.iter().all(known),
-                }
-        };
-        if let Some(place) = place.filter(sound) {
+        let is_sound = |place: &ChunkPlace| !lies && self.is_as_summarized(record, &head, place);
+        if let Some(place) = place.filter(is_sound) {
             let next = data_end.saturating_add(place.message_index_bytes);
             // Without message indexes it is not known which channels a chunk holds.
             let connections = (!place.channels.is_empty()).then(|| Arc::from(place.channels));
-            if next <= next_chunk {
+            if next <= bounds.next_chunk {
                 self.index.push(Segment { connections, ..segment });
                 return Ok(next);
             }
         }
         self.pending = Some(PendingChunk { segment, counts: BTreeMap::new(), sound: !lies });
         Ok(data_end)
+    }
+
+    fn chunk_bounds(&self, at: u64, record: &PeekedRecord, head: &ChunkHead) -> ChunkBounds {
+        let data = at + RECORD_HEAD_BYTES as u64 + head.records_start;
+        ChunkBounds {
+            data,
+            data_end: data.saturating_add(head.records_bytes),
+            record_end: at.saturating_add(record.record_bytes),
+            next_chunk: self.summary.chunks.range(at + 1..).next().map_or(self.end, |(offset, _)| *offset),
+        }
+    }
+
+    /// Where the records of a chunk end whose lengths contradict: at the first end that is possible, or where a record follows.
+    fn likely_data_end(&mut self, bounds: &ChunkBounds) -> Result<u64, RecordingError> {
+        let possible = bounds.data..=bounds.next_chunk;
+        let ends = [bounds.data_end, bounds.record_end].into_iter();
+        match ends.filter(|end| possible.contains(end)).min() {
+            Some(end) => Ok(end),
+            None => Ok(self.find_record(bounds.data)?.unwrap_or(self.end).min(bounds.next_chunk)),
+        }
+    }
+
+    /// Whether a chunk is what a trusted summary says of it, and all of its channels are known.
+    fn is_as_summarized(&self, record: &PeekedRecord, head: &ChunkHead, place: &ChunkPlace) -> bool {
+        // A chunk without messages has no times either.
+        let has_times = head.last > 0;
+        let known = |id: &u32| self.summary.channels.connections.contains_key(id);
+        self.trusted
+            && place.chunk_bytes == record.record_bytes
+            && (has_times || !place.channels.is_empty())
+            && match (place.channels.as_slice(), &self.summary.statistics) {
+                // Without message indexes it may hold any channel.
+                ([], Some(statistics)) => statistics.counts.keys().all(known),
+                (channels, _) => channels.iter().all(known),
+            }
     }
 
     /// Takes in the message index of one channel of the chunk before it.
