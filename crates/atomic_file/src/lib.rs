@@ -48,7 +48,10 @@ enum Target {
 const BUFFER: usize = 256 << 10;
 
 impl AtomicFile {
-    /// Begins a file. Errors: the folder is missing or not writable, the name is a folder's.
+    /// Begins a file.
+    ///
+    /// # Errors
+    /// The folder is missing or not writable, the name is that of a folder, or the link of this name leads nowhere.
     pub fn create(path: impl AsRef<Path>) -> Result<Self, WriteError> {
         let path = path.as_ref();
         let target = open_target(path).map_err(|source| WriteError { path: path.to_owned(), source })?;
@@ -60,8 +63,10 @@ impl AtomicFile {
         &self.path
     }
 
-    /// Replaces bytes that were written before: headers whose numbers are known at last. Errors: a pipe, which
-    /// cannot go back.
+    /// Replaces bytes that were written before: headers whose numbers are known at last.
+    ///
+    /// # Errors
+    /// The system cannot write, or this is a pipe, which cannot go back.
     pub fn overwrite(&mut self, offset: u64, bytes: &[u8]) -> io::Result<()> {
         fn overwrite(file: &mut (impl Write + Seek), offset: u64, bytes: &[u8]) -> io::Result<()> {
             file.seek(SeekFrom::Start(offset))?;
@@ -75,6 +80,9 @@ impl AtomicFile {
     }
 
     /// A handle for a library that writes the file itself, reads it while writing, and uses no buffer.
+    ///
+    /// # Errors
+    /// The system has no handle left.
     pub fn handle(&self) -> io::Result<File> {
         match &self.target {
             Target::Temporary(writer, ..) => writer.get_ref().0.as_file().try_clone(),
@@ -83,6 +91,9 @@ impl AtomicFile {
     }
 
     /// Writes out what is buffered, waits until it is on the disk and gives the file its name.
+    ///
+    /// # Errors
+    /// What is buffered cannot be written, or the file cannot be synchronised or renamed.
     pub fn commit(self) -> Result<(), WriteError> {
         let written = match self.target {
             Target::Temporary(writer, unfinished, destination) => {
@@ -100,6 +111,9 @@ impl AtomicFile {
 }
 
 /// Writes a whole file at once.
+///
+/// # Errors
+/// The file cannot be begun, as with [`AtomicFile::create`], or cannot be written, synchronised or renamed.
 pub fn write_atomically(path: impl AsRef<Path>, content: &[u8]) -> Result<(), WriteError> {
     let mut file = AtomicFile::create(path)?;
     if let Err(source) = file.write_all(content) {

@@ -254,6 +254,8 @@ pub(crate) struct E57Writer {
 }
 
 impl E57Writer {
+    /// # Errors
+    /// The file, or the temporary one for its points, cannot be made in the folder.
     pub fn create(path: &Path, attributes: Attributes) -> Result<Self, CloudError> {
         let output = Output::create(path)?;
         let folder = folder_of(path);

@@ -28,6 +28,9 @@ pub enum CloudFormat {
 
 impl CloudFormat {
     /// From the extension of a file.
+    ///
+    /// # Errors
+    /// [`CloudError::UnknownFormat`] for an extension that none of the formats has, and for a name without one.
     pub fn from_path(path: &Path) -> Result<Self, CloudError> {
         let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
         match extension.as_str() {
@@ -106,6 +109,9 @@ pub trait CloudReader {
     fn count(&self) -> Option<u64>;
 
     /// Replaces `batch` by the next points; false at the end, where it is empty.
+    ///
+    /// # Errors
+    /// Reading fails, or what follows is too damaged to go on.
     fn next_batch(&mut self, batch: &mut PointCloud) -> Result<bool, CloudError>;
 
     /// What was repaired or left out so far.
@@ -125,9 +131,15 @@ pub struct Written {
 /// remains. The same points give the same bytes.
 pub trait CloudWriter: Send {
     /// Appends points; values that they lack become 0.
+    ///
+    /// # Errors
+    /// Writing fails, or the format cannot store these points.
     fn write(&mut self, batch: &PointCloud) -> Result<(), CloudError>;
 
     /// Completes the file.
+    ///
+    /// # Errors
+    /// Writing fails, or the file cannot be given its name.
     fn finish(self: Box<Self>) -> Result<Written, CloudError>;
 }
 

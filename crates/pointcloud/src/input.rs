@@ -26,12 +26,17 @@ pub(crate) enum CloudLine<'a> {
 }
 
 impl Input {
+    /// # Errors
+    /// The file cannot be opened.
     pub fn open(path: &Path) -> Result<Self, CloudError> {
         let reader = Forward::open(path).map_err(|e| CloudError::read(path, e))?;
         Ok(Self { path: path.to_owned(), reader, line: Vec::new(), line_number: 0 })
     }
 
     /// The next bytes, which are read again afterwards.
+    ///
+    /// # Errors
+    /// Reading fails.
     pub fn peek(&mut self, count: usize) -> Result<&[u8], CloudError> {
         self.reader.peek(count).map_err(|e| CloudError::read(&self.path, e))
     }
@@ -43,6 +48,9 @@ impl Input {
     }
 
     /// Passes over bytes; false if the file ends before.
+    ///
+    /// # Errors
+    /// Reading fails.
     pub fn skip(&mut self, count: u64) -> Result<bool, CloudError> {
         let skipped = self.reader.skip(count).map_err(|e| CloudError::read(&self.path, e))?;
         Ok(skipped == count)
@@ -66,6 +74,9 @@ impl Input {
     }
 
     /// The next line, where one that is too long shall not end everything.
+    ///
+    /// # Errors
+    /// Reading fails.
     pub fn line_of_any_length(&mut self) -> Result<Option<CloudLine<'_>>, CloudError> {
         let error = |e| CloudError::read(&self.path, e);
         self.line_number += 1;
@@ -85,6 +96,9 @@ impl Input {
     }
 
     /// Fills `bytes` as far as the file goes; how many there were.
+    ///
+    /// # Errors
+    /// Reading fails; the end of the file is no error.
     pub fn fill(&mut self, bytes: &mut [u8]) -> Result<usize, CloudError> {
         let mut done = 0;
         while let Some(rest) = bytes.get_mut(done..).filter(|rest| !rest.is_empty()) {

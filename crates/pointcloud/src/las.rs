@@ -202,6 +202,8 @@ pub(crate) struct LasWriter {
 }
 
 impl LasWriter {
+    /// # Errors
+    /// A resolution outside 0.1 µm to 10 m, or a file that cannot be made.
     pub fn create(
         path: &Path,
         attributes: Attributes,

@@ -21,23 +21,33 @@ fn failed(error: WriteError) -> CloudError {
 }
 
 impl Output {
+    /// # Errors
+    /// The file cannot be made: the folder is missing or not writable, or there is a folder of this name.
     pub fn create(path: &Path) -> Result<Self, CloudError> {
         let file = AtomicFile::create(path).map_err(failed)?;
         Ok(Self { path: path.to_owned(), file: Some(file) })
     }
 
+    /// # Errors
+    /// Writing fails.
     pub fn append(&mut self, bytes: &[u8]) -> Result<(), CloudError> {
         let result = self.file.as_mut().map_or(Ok(()), |file| file.write_all(bytes));
         result.map_err(|e| CloudError::write(&self.path, e))
     }
 
     /// Replaces bytes that were written before.
+    ///
+    /// # Errors
+    /// Writing fails, or the file is a pipe, which cannot go back.
     pub fn overwrite(&mut self, offset: u64, bytes: &[u8]) -> Result<(), CloudError> {
         let result = self.file.as_mut().map_or(Ok(()), |file| file.overwrite(offset, bytes));
         result.map_err(|e| CloudError::write(&self.path, e))
     }
 
     /// A handle for a library that writes the file itself, without a buffer.
+    ///
+    /// # Errors
+    /// The file is complete already, or the system has no handle left.
     pub fn handle(&self) -> Result<File, CloudError> {
         let file = self.file.as_ref().map(AtomicFile::handle);
         let file = file.unwrap_or_else(|| Err(std::io::Error::other("the file is closed")));
@@ -45,6 +55,9 @@ impl Output {
     }
 
     /// Gives the file its name.
+    ///
+    /// # Errors
+    /// What is buffered cannot be written, or the file cannot be renamed.
     pub fn finish(&mut self) -> Result<(), CloudError> {
         self.file.take().map_or(Ok(()), |file| file.commit().map_err(failed))
     }
@@ -58,11 +71,17 @@ pub(crate) struct Spool {
 
 impl Spool {
     /// In the folder for temporary files: for what is only read.
+    ///
+    /// # Errors
+    /// No file can be made there.
     pub fn new() -> std::io::Result<Self> {
         Ok(Self::of(tempfile::tempfile()?))
     }
 
     /// In this folder: that of results has room for them, which the one for temporary files, often memory, may not.
+    ///
+    /// # Errors
+    /// No file can be made there.
     pub fn in_folder(folder: &Path) -> std::io::Result<Self> {
         Ok(Self::of(tempfile::tempfile_in(folder)?))
     }
@@ -71,6 +90,8 @@ impl Spool {
         Self { writer: BufWriter::with_capacity(1 << 16, file), length: 0 }
     }
 
+    /// # Errors
+    /// Writing fails.
     pub fn append(&mut self, bytes: &[u8]) -> std::io::Result<()> {
         self.length += bytes.len() as u64;
         self.writer.write_all(bytes)
@@ -82,6 +103,9 @@ impl Spool {
     }
 
     /// Fills `bytes` from a place.
+    ///
+    /// # Errors
+    /// Writing out what is buffered fails, reading fails, or fewer bytes lie behind that place.
     pub fn read_at(&mut self, offset: u64, bytes: &mut [u8]) -> std::io::Result<()> {
         self.writer.flush()?;
         let file = self.writer.get_mut();

@@ -46,6 +46,8 @@ fn header(input: &mut Input) -> Result<PlyHeader, CloudError> {
 }
 
 impl PlyReader {
+    /// # Errors
+    /// Reading fails, the header is damaged, there are no vertices with x, y and z, or vertices have lists.
     pub fn open(mut input: Input) -> Result<Self, CloudError> {
         let path = input.path.clone();
         let path = path.as_path();
@@ -193,6 +195,8 @@ pub(crate) struct PlyWriter {
 }
 
 impl PlyWriter {
+    /// # Errors
+    /// The file cannot be made, or the header cannot be written.
     pub fn create(path: &Path, attributes: Attributes, options: &WriteOptions) -> Result<Self, CloudError> {
         let mut writer = Self {
             output: Output::create(path)?,

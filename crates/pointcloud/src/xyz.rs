@@ -74,6 +74,8 @@ pub(crate) struct XyzReader {
 }
 
 impl XyzReader {
+    /// # Errors
+    /// Reading fails, or the first lines are neither names of columns nor points.
     pub fn open(mut input: Input) -> Result<Self, CloudError> {
         let (mut named, mut count, mut values) = (None, None, Vec::new());
         for _ in 0..MAX_HEAD {
@@ -159,6 +161,8 @@ pub(crate) struct XyzWriter {
 }
 
 impl XyzWriter {
+    /// # Errors
+    /// The file cannot be made, or the line with the names cannot be written.
     pub fn create(path: &Path, attributes: Attributes) -> Result<Self, CloudError> {
         let mut output = Output::create(path)?;
         let mut names = "# x y z".to_owned();

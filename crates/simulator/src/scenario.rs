@@ -106,7 +106,7 @@ impl ScenarioOptions {
     /// Checks every value; errors name the option and its bounds.
     ///
     /// # Errors
-    /// The first value that is outside its bounds.
+    /// The first value that is outside its bounds; else missing or repeated names of sensors, or a fault of a sensor that is not there.
     pub fn check(&self) -> Result<(), SimulatorError> {
         let [width, height] = self.size.unwrap_or(self.scene.default_size());
         let [least_width, least_height] = self.scene.minimum_size();

@@ -162,7 +162,7 @@ impl Scenario3dOptions {
     /// Checks every value; errors name the option and its bounds.
     ///
     /// # Errors
-    /// The first value that is outside its bounds.
+    /// The first value that is outside its bounds; else missing or repeated names of sensors, or a fault of a sensor that is not there.
     pub fn check(&self) -> Result<(), SimulatorError> {
         let style = self.style();
         let [least_width, least_depth] = self.scene.minimum_size();

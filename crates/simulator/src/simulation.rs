@@ -34,6 +34,9 @@ pub(crate) struct Inner {
 
 impl Simulation {
     /// Draws the building, plans the walk and puts people in; measurements are made when they are read.
+    ///
+    /// # Errors
+    /// The options are not valid ([`ScenarioOptions::check`]), or the robot fits at no junction of the building.
     pub fn new(options: ScenarioOptions) -> Result<Self, SimulatorError> {
         options.check()?;
         let building_seed = options.building_seed.unwrap_or(options.seed);
@@ -43,6 +46,9 @@ impl Simulation {
 
     /// In a floor plan of one's own; `scene`, `size` and the style of the options are not used. The
     /// tour follows the places and passages of the plan.
+    ///
+    /// # Errors
+    /// As [`Simulation::new`]; or the plan is not valid ([`FloorPlan::check`]).
     pub fn in_plan(options: ScenarioOptions, plan: FloorPlan) -> Result<Self, SimulatorError> {
         options.check()?;
         plan.check()?;
@@ -64,6 +70,9 @@ impl Simulation {
     }
 
     /// With a world and a walk of one's own. The options decide on sensors, faults, seed and times.
+    ///
+    /// # Errors
+    /// The options ([`ScenarioOptions::check`]) or the plan ([`FloorPlan::check`]) are not valid.
     pub fn with_walk(options: ScenarioOptions, plan: FloorPlan, walk: Walk) -> Result<Self, SimulatorError> {
         options.check()?;
         plan.check()?;

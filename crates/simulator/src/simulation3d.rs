@@ -32,6 +32,9 @@ pub(crate) struct Inner3d {
 
 impl Simulation3d {
     /// Draws the world, plans the walk and puts people in; measurements are made when they are read.
+    ///
+    /// # Errors
+    /// The options are not valid ([`Scenario3dOptions::check`]), or no way leads through the world.
     pub fn new(options: Scenario3dOptions) -> Result<Self, SimulatorError> {
         options.check()?;
         let plan = options.plan();
@@ -54,6 +57,9 @@ impl Simulation3d {
 
     /// In a world and with a motion of one's own; of the options, those of sensors, faults, seed and
     /// start are used.
+    ///
+    /// # Errors
+    /// The options are not valid ([`Scenario3dOptions::check`]).
     pub fn with_motion(
         options: Scenario3dOptions,
         solids: Vec<Solid>,

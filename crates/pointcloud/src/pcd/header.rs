@@ -44,6 +44,10 @@ pub(crate) fn sniff(start: &[u8]) -> bool {
 
 impl Header {
     /// Reads a header; the input stands behind it afterwards.
+    ///
+    /// # Errors
+    /// Reading fails, or the header is damaged: it has no `DATA`, no number of points, unequal lists of fields, a kind of value that is
+    /// not known, or points of an unlikely size.
     pub fn read(input: &mut Input) -> Result<Self, CloudError> {
         let path = input.path.clone();
         let bad = |what: &str| CloudError::damaged(&path, format!("its header {what}"));

@@ -60,8 +60,10 @@ impl<R: Read> Decompressor<R> {
         Self { input, window: vec![0; WINDOW], at: 0, written: 0 }
     }
 
-    /// Appends at least one byte to `out`; false at the end of the input. A copy from before the start is
-    /// an error.
+    /// Appends at least one byte to `out`; false at the end of the input.
+    ///
+    /// # Errors
+    /// Reading fails, the input ends within a step, or a copy reaches before the start.
     pub fn next_into(&mut self, out: &mut Vec<u8>) -> io::Result<bool> {
         let Some(control) = self.byte_or_end()? else { return Ok(false) };
         if control < 32 {

@@ -29,6 +29,8 @@ pub(crate) struct PcdReader {
 }
 
 impl PcdReader {
+    /// # Errors
+    /// Reading fails, the header is damaged or has no x, y and z, or compressed points are cut off, damaged, or cannot be unpacked to disk.
     pub fn open(mut input: Input) -> Result<Self, CloudError> {
         let path = input.path.clone();
         let path = path.as_path();

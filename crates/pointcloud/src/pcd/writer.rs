@@ -31,6 +31,8 @@ pub(crate) struct PcdWriter {
 }
 
 impl PcdWriter {
+    /// # Errors
+    /// The file, or temporary ones for its columns, cannot be made in the folder, or the header cannot be written.
     pub fn create(path: &Path, attributes: Attributes, options: &WriteOptions) -> Result<Self, CloudError> {
         let mut writer = Self {
             output: Output::create(path)?,

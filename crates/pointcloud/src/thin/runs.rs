@@ -131,6 +131,9 @@ impl Runs {
     }
 
     /// Appends a run of cells in ascending order.
+    ///
+    /// # Errors
+    /// The temporary file cannot be made or written.
     pub fn write(&mut self, cells: &[(Key, Cell)]) -> Result<(), CloudError> {
         let failed = |e| CloudError::temporary(&self.folder, e);
         let file = match &mut self.file {
@@ -149,6 +152,9 @@ impl Runs {
     }
 
     /// Visits all cells in ascending order; those of one voxel are joined in the order of their runs.
+    ///
+    /// # Errors
+    /// The temporary file cannot be read, or the first error of `visit`.
     pub fn merge(
         &mut self,
         visit: &mut dyn FnMut(&Key, &Cell) -> Result<(), CloudError>,

@@ -63,6 +63,9 @@ impl Default for OptimizeOptions {
 
 /// Moves all vertices that are not fixed to the least `Σ ρ(eᵀΩe)`. Where a connected part has no fixed
 /// vertex, its first one is held; see [`Report::anchored`].
+///
+/// # Errors
+/// As [`optimize_pose_graph`].
 pub fn optimize_graph(graph: &mut Graph, options: &OptimizeOptions) -> Result<Report, GraphError> {
     match graph {
         Graph::Planar(graph) => optimize_pose_graph(graph, options),
@@ -71,6 +74,9 @@ pub fn optimize_graph(graph: &mut Graph, options: &OptimizeOptions) -> Result<Re
 }
 
 /// [`optimize_graph`] for poses of one kind.
+///
+/// # Errors
+/// The graph is not valid ([`PoseGraph::check`]), a vertex is not on the Earth, or the problem cannot be solved: see [`GraphError`].
 pub fn optimize_pose_graph<P: GraphPose>(
     graph: &mut PoseGraph<P>,
     options: &OptimizeOptions,

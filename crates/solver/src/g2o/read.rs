@@ -122,6 +122,10 @@ const MOST_LINES_BEFORE_GRAPH: usize = 100_000;
 
 /// Reads VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT and FIX; other tags are counted. Lines may come
 /// in any order.
+///
+/// # Errors
+/// Reading fails, a line is too long or not what its tag promises, poses of the plane and of space are mixed, or the file holds no
+/// graph.
 pub fn read_g2o(mut input: impl BufRead) -> Result<(Graph, G2oRepairs), G2oError> {
     let mut reader = Reader::default();
     let mut bytes = Vec::new();

@@ -27,6 +27,9 @@ pub(crate) struct BlockPattern {
 impl BlockPattern {
     /// Orders blocks of the given dimensions, of which `pairs` (smaller number first, sorted, unique) are
     /// coupled.
+    ///
+    /// # Errors
+    /// More unknowns or values than 32 bits count.
     pub fn new(dimensions: &[u32], pairs: &[(u32, u32)]) -> Result<Self, ProblemError> {
         let order = elimination_order(dimensions.len(), pairs);
         let n = order.len();

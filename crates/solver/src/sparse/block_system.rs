@@ -19,6 +19,9 @@ pub(crate) struct BlockSystem {
 
 impl BlockSystem {
     /// Analyses the pattern of blocks of the given dimensions; `pairs` as for [`BlockPattern::new`].
+    ///
+    /// # Errors
+    /// The normal equations or their factor are too large to be counted, or for memory.
     pub fn new(dimensions: &[u32], pairs: &[(u32, u32)]) -> Result<Self, ProblemError> {
         let pattern = BlockPattern::new(dimensions, pairs)?;
         Ok(Self {

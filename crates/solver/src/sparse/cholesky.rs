@@ -27,6 +27,9 @@ const NONE: u32 = u32::MAX;
 
 impl Cholesky {
     /// Analyses the pattern.
+    ///
+    /// # Errors
+    /// The factor is too large to be counted, or for memory.
     pub fn new(pattern: &BlockPattern) -> Result<Self, ProblemError> {
         let supernodes = Supernodes::new(pattern)?;
         let count = supernodes.all.len();

@@ -33,6 +33,10 @@ impl Covariance {
 impl Problem {
     /// Covariance of `variables` at the current values, robust losses included as weights. One triangular
     /// solve per degree of freedom asked for, besides one factorisation.
+    ///
+    /// # Errors
+    /// The problem is too large, a residual cannot be evaluated at the current values, the factors do not determine all variables, or
+    /// one of `variables` does not exist.
     pub fn covariance(&self, variables: &[VariableId]) -> Result<Covariance, ProblemError> {
         let mut prepared = self.prepare()?;
         let (linearization, system) = (&mut prepared.linearization, &mut prepared.system);

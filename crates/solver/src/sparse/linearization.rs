@@ -37,6 +37,9 @@ pub(crate) struct Linearization {
 
 impl Linearization {
     /// Finds the structure of the normal equations and an empty system for them.
+    ///
+    /// # Errors
+    /// The problem is too large to be counted, or for memory.
     pub fn new(problem: &Problem) -> Result<(Self, BlockSystem), ProblemError> {
         // Variables saturate at this size when they are added.
         if u32::try_from(problem.values.len()).is_err() {

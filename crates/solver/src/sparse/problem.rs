@@ -116,6 +116,9 @@ impl Problem {
 
     /// Adds a variable with its initial numbers, in the layout of the manifold. Quaternions are taken as they
     /// are; they should be normalised.
+    ///
+    /// # Errors
+    /// The manifold needs another number of values, or the problem would have 2³² numbers or more.
     pub fn add_variable(&mut self, manifold: Manifold, values: &[f64]) -> Result<VariableId, ProblemError> {
         let expected = manifold.ambient_dimension();
         if expected != values.len() {
@@ -193,6 +196,10 @@ impl Problem {
     }
 
     /// Adds a factor with its loss.
+    ///
+    /// # Errors
+    /// The factor names no variables, too many, one twice or one that does not exist; the loss is not valid
+    /// ([`Loss::is_valid`]); or there are 2³² such factors already.
     pub fn add_factor<F: Factor>(&mut self, factor: F, loss: Loss) -> Result<FactorId, ProblemError> {
         self.check(factor.variables())?;
         if !loss.is_valid() {
@@ -248,6 +255,9 @@ impl Problem {
     }
 
     /// Replaces the numbers of a variable.
+    ///
+    /// # Errors
+    /// There is no such variable, or it has another number of values.
     pub fn set_values(&mut self, id: VariableId, values: &[f64]) -> Result<(), ProblemError> {
         let count = self.variables.len();
         let variable = self

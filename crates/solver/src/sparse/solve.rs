@@ -16,12 +16,18 @@ impl Problem {
     /// that no factor determines do not move; when the normal equations stay singular at any damping, the
     /// start is kept and the summary says
     /// [`Termination::InvalidSteps`](crate::Termination::InvalidSteps).
+    ///
+    /// # Errors
+    /// The problem is too large, or a residual cannot be evaluated at the start.
     pub fn solve(&mut self, options: &SolverOptions) -> Result<Summary, ProblemError> {
         self.solve_observed(options, &mut |_| ControlFlow::Continue(()))
     }
 
     /// Like [`Problem::solve`]; `observer` is called before every iteration and at the end, and may stop
     /// the solver, which then keeps the best values so far.
+    ///
+    /// # Errors
+    /// As [`Problem::solve`].
     pub fn solve_observed(
         &mut self,
         options: &SolverOptions,

@@ -42,6 +42,8 @@ pub(super) struct Supernodes {
 }
 
 impl Supernodes {
+    /// # Errors
+    /// More values than can be counted.
     pub fn new(pattern: &BlockPattern) -> Result<Self, ProblemError> {
         let n = pattern.block_count();
         let lower: Vec<Vec<u32>> =
