@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use portolan_issue::IssueKind;
 use portolan_motion::ExtrapolatorError;
 
 /// What was wrong with a measurement.
@@ -42,31 +43,21 @@ impl Issue {
         }
     }
 
-    /// In words, for reports.
-    pub fn text(self) -> &'static str {
+    /// The kind that reports know it by, which has its text and severity.
+    pub fn kind(self) -> IssueKind {
         match self {
-            Self::ImuSampleTooOld => "IMU sample older than the last matched scan",
-            Self::ImuSampleNotFinite => "IMU sample that is not finite",
-            Self::ImuAfterStart => {
-                "IMU sample after a start without an IMU; only its angular velocity is used"
-            }
-            Self::OdometryTooOld => "odometry pose older than the last matched scan",
-            Self::EmptySweep => "scan without a single return",
-            Self::SweepTooOld => "scan that ends before the last matched scan",
-            Self::GyroscopeOverruled => {
-                "sweep whose rotation contradicts the gyroscope; the rotation found by matching was used"
-            }
-            Self::OdometryOverruled => "sweep whose motion contradicts odometry, which was not used",
-            Self::ContradictsMap => "scan that contradicts the map; not inserted",
-            Self::PlaceHidden => {
-                "scan in which something hides all that the map knows of the place; not inserted"
-            }
-            Self::TravelGuessed => {
-                "scan before which nothing told for seconds how far it went; constant velocity was assumed"
-            }
-            Self::NoPlaneFits => {
-                "scan that fits no plane; its pose follows from odometry, IMU, constant velocity or matching to grids"
-            }
+            Self::ImuSampleTooOld => IssueKind::ImuSampleTooOld,
+            Self::ImuSampleNotFinite => IssueKind::ImuSampleNotFinite,
+            Self::ImuAfterStart => IssueKind::ImuAfterStart,
+            Self::OdometryTooOld => IssueKind::OdometryTooOld,
+            Self::EmptySweep => IssueKind::ScanWithoutReturn,
+            Self::SweepTooOld => IssueKind::ScanTooOld,
+            Self::GyroscopeOverruled => IssueKind::GyroscopeOverruled,
+            Self::OdometryOverruled => IssueKind::OdometryOverruled,
+            Self::NoPlaneFits => IssueKind::ScanFitsNoPlane,
+            Self::ContradictsMap => IssueKind::ScanContradictsMap,
+            Self::PlaceHidden => IssueKind::ScanOccluded,
+            Self::TravelGuessed => IssueKind::TravelGuessed,
         }
     }
 }

@@ -17,7 +17,7 @@ use super::LocalSlam3dSettings;
 use super::deskew::{Deskewed, Gathered, deskew, raw_sweep};
 use super::grid_matcher::GridMatcher;
 use super::keyframe_insertion::{KeyframeInsertion, KeyframeScan};
-use super::planes::{extrapolator_settings, kind_of};
+use super::planes::extrapolator_settings;
 use crate::motion_filter;
 use crate::remembered_scans::RememberedScans;
 use crate::{MatchingResult, Spatial};
@@ -99,7 +99,7 @@ impl GridEngine {
                 Ok(()) => (!self.has_imu).then_some(OdometryIssue::ImuAfterStart),
             },
         };
-        issue.into_iter().for_each(|issue| count(issues, kind_of(issue), data.time));
+        issue.into_iter().for_each(|issue| count(issues, issue.kind(), data.time));
     }
 
     pub fn add_odometry(&mut self, data: &OdometryData, issues: &mut IssueLog) {

@@ -2,11 +2,9 @@
 
 use portolan_config::{ImuBasedPoseExtrapolatorOptions, TrajectoryBuilder3dOptions};
 use portolan_geometry::{Rigid3, Time, is_valid_pose};
-use portolan_issue::{Issue, IssueKind, IssueLog};
+use portolan_issue::{Issue, IssueLog};
 use portolan_lidar_odometry::settings::{ExtrapolatorSettings, KeyframeSettings, LocalMapSettings};
-use portolan_lidar_odometry::{
-    Fallback, Issue as OdometryIssue, LidarOdometry, OdometrySettings, PlaneMap, RegisteredSweep,
-};
+use portolan_lidar_odometry::{Fallback, LidarOdometry, OdometrySettings, PlaneMap, RegisteredSweep};
 use portolan_motion::{DegenerateInterval, ExtrapolatorCounts, ImuBasedSettings, WaitingSweeps};
 use portolan_recall::Memory;
 use portolan_sensor::{ImuData, OdometryData, PointCloud, RangeData, voxel_filter};
@@ -161,7 +159,7 @@ impl PlaneEngine {
     /// Takes over what the odometry counted since the last call; `time` is when.
     fn note_issues(&mut self, time: Time) {
         for (issue, count) in self.odometry.issues().iter() {
-            let kind = kind_of(issue);
+            let kind = issue.kind();
             let new = count.saturating_sub(self.issues.count_of(kind));
             self.issues.add(Issue::new(kind).at(time).times(new));
         }
@@ -197,24 +195,6 @@ fn inserted(
         }),
     };
     MatchingResult { measured: sweep.points, lost, ..result }
-}
-
-/// The kind of an issue of the odometry.
-pub(super) fn kind_of(issue: OdometryIssue) -> IssueKind {
-    match issue {
-        OdometryIssue::ImuSampleTooOld => IssueKind::ImuSampleTooOld,
-        OdometryIssue::ImuSampleNotFinite => IssueKind::ImuSampleNotFinite,
-        OdometryIssue::ImuAfterStart => IssueKind::ImuAfterStart,
-        OdometryIssue::OdometryTooOld => IssueKind::OdometryTooOld,
-        OdometryIssue::EmptySweep => IssueKind::ScanWithoutReturn,
-        OdometryIssue::SweepTooOld => IssueKind::ScanTooOld,
-        OdometryIssue::GyroscopeOverruled => IssueKind::GyroscopeOverruled,
-        OdometryIssue::OdometryOverruled => IssueKind::OdometryOverruled,
-        OdometryIssue::NoPlaneFits => IssueKind::ScanFitsNoPlane,
-        OdometryIssue::ContradictsMap => IssueKind::ScanContradictsMap,
-        OdometryIssue::PlaceHidden => IssueKind::ScanOccluded,
-        OdometryIssue::TravelGuessed => IssueKind::TravelGuessed,
-    }
 }
 
 /// What the options say of the odometry.

@@ -12,6 +12,7 @@ use portolan_geometry::{Time, project_2d, yaw};
 use rayon::prelude::*;
 
 use super::trimming::Remains;
+use super::visible_cells::VisibleCells;
 use super::{PoseGraph, TrajectoryState};
 use crate::{Space, SubmapId, TrajectoryId};
 
@@ -85,8 +86,8 @@ impl<S: Space> PoseGraph<S> {
         known.sort_by_key(|known| (known.newest_node, known.id));
         let around: Vec<BTreeSet<Cell>> = known.par_iter().map(Known::around).collect();
         let with_around = || known.iter().zip(&around);
-        let mut stay: Vec<BTreeSet<Cell>> = taken(with_around(), 1);
-        let mut of_newest = taken(with_around().rev(), newest);
+        let mut stay: Vec<BTreeSet<Cell>> = visible(with_around(), 1);
+        let mut of_newest = visible(with_around().rev(), newest);
         of_newest.reverse();
         stay.iter_mut().zip(of_newest).for_each(|(stay, mut newest)| stay.append(&mut newest));
         let mut knowing: HashMap<Cell, usize> = HashMap::new();
@@ -157,17 +158,11 @@ impl<S: Space> PoseGraph<S> {
     }
 }
 
-/// The cells of each submap that it is among the first `count` to take, in this order.
-fn taken<'a>(
+/// The cells of each submap that are visible in it, if each cell is in the first `count` submaps of this order.
+fn visible<'a>(
     submaps: impl Iterator<Item = (&'a Known, &'a BTreeSet<Cell>)>,
     count: usize,
 ) -> Vec<BTreeSet<Cell>> {
-    let mut takers: HashMap<Cell, usize> = HashMap::new();
-    let take = |(known, around): (&Known, &BTreeSet<Cell>)| {
-        let is_free = |cell: &&Cell| takers.get(*cell).is_none_or(|takers| *takers < count);
-        let own = known.cells.iter().filter(is_free).copied().collect();
-        around.iter().for_each(|cell| *takers.entry(*cell).or_default() += 1);
-        own
-    };
-    submaps.map(take).collect()
+    let mut visible = VisibleCells::in_first(count);
+    submaps.map(|(known, around)| visible.next(&known.cells, around).into_iter().collect()).collect()
 }

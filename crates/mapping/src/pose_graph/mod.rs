@@ -35,6 +35,7 @@ mod told_starts;
 mod travel;
 mod trimmed_nodes;
 mod trimming;
+mod visible_cells;
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};

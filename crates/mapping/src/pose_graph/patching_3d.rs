@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use portolan_geometry::{Point3f, Rigid3, Rigid3f, to_f32};
-use portolan_grids::HybridGrid;
+use portolan_grids::{HybridGrid, SOLID_VOXEL};
 use portolan_sensor::PointCloud;
 use portolan_submaps::Submap3d;
 
@@ -12,8 +12,6 @@ use super::PoseGraph;
 use super::extension::NearestSubmaps;
 use crate::{Spatial, SubmapId, TrajectoryId, of_trajectory};
 
-/// Cells of this probability are solid.
-const SOLID: f32 = 0.55;
 /// The probability of a cell in which nothing is any more.
 const FREE: f32 = 0.1;
 
@@ -38,7 +36,7 @@ fn solid(grid: &HybridGrid, map_from_submap: &Rigid3f) -> Vec<(Point3f, f32)> {
     let mut found = Vec::new();
     grid.for_each_cell(|cell, _| {
         let probability = grid.probability(cell);
-        if probability > SOLID {
+        if probability > SOLID_VOXEL {
             found.push((map_from_submap * grid.cell_center(cell), probability));
         }
     });

@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use portolan_geometry::{Point3f, Rigid3, to_f32};
 
 use super::PoseGraph;
+use super::visible_cells::VisibleCells;
 use crate::{NodeId, Space, SubmapId, TrajectoryId};
 
 /// Which submaps newer ones replace.
@@ -60,13 +61,12 @@ impl Coverage {
 
     /// How much of each submap is seen if every cell of the map counts for the first so many that know it, square metres.
     fn seen(&self, newest_first: impl Iterator<Item = SubmapId>, counted: usize) -> BTreeMap<SubmapId, f64> {
-        let mut taken: HashMap<Cell, usize> = HashMap::new();
+        let mut visible = VisibleCells::in_first(counted);
         let mut areas = BTreeMap::new();
         for id in newest_first {
             let Some(own) = self.cells.get(&id) else { continue };
-            let seen = own.iter().filter(|cell| taken.get(*cell).is_none_or(|taken| *taken < counted));
-            areas.insert(id, self.area(seen.count()));
-            self.with_beside(own).into_iter().for_each(|cell| *taken.entry(cell).or_default() += 1);
+            let seen = visible.next(own, &self.with_beside(own));
+            areas.insert(id, self.area(seen.len()));
         }
         areas
     }

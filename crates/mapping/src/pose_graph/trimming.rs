@@ -1,12 +1,13 @@
 //! Removing submaps that are not needed any more (`slam2d.md` §14.7).
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use portolan_config::OverlappingSubmapsTrimmer2dOptions;
 use portolan_geometry::{Rigid3, Time, embed_3d, project_2d};
 
 use super::trimmed_nodes::Anchor;
+use super::visible_cells::VisibleCells;
 use super::{GraphState, PoseGraph, TrajectoryState, TrimmedNode, TrimmedTies};
 use crate::{Constraint, ConstraintTag, Node, NodeId, Space, SubmapId, TrajectoryId};
 
@@ -162,16 +163,11 @@ impl<S: Space> PoseGraph<S> {
     ) -> Option<SeenAreas> {
         let cell_size_of = |id| self.state.submaps.get(&id)?.submap.as_ref().map(|s| S::cell_size(s));
         let cell_size = freshest_first.clone().find_map(cell_size_of)?;
-        let mut taken: HashMap<(i64, i64), usize> = HashMap::new();
+        let mut visible = VisibleCells::in_first(counted);
         let mut cells: BTreeMap<SubmapId, u64> = BTreeMap::new();
         for id in freshest_first {
-            let mut seen = 0;
-            for cell in self.covered_cells(id, cell_size)? {
-                let taken = taken.entry(cell).or_default();
-                seen += u64::from(*taken < counted);
-                *taken += 1;
-            }
-            cells.insert(id, seen);
+            let own = self.covered_cells(id, cell_size)?;
+            cells.insert(id, visible.next(&own, &own).len() as u64);
         }
         Some(SeenAreas { cells, cell_size })
     }
