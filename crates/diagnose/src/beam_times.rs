@@ -87,8 +87,9 @@ struct Pair<'a> {
     first_from_second: Rigid2,
 }
 
-/// What a pair tells of the duration: information, and information times what it is more than assumed; and what that does to its pose.
-struct Told {
+/// The normal equation of the duration of scans that a pair gives, from which the pose of the pair is eliminated: information, and
+/// information times what the duration is more than assumed; and how the pose follows from that.
+struct DurationEquation {
     information: f64,
     gradient: f64,
     /// The step of the pose (x, y, angle) where the duration stays, and what comes off for each second that it is more.
@@ -105,7 +106,7 @@ impl Pair<'_> {
         found.is_some()
     }
 
-    fn tell(&self, seconds: f64) -> Option<Told> {
+    fn equation(&self, seconds: f64) -> Option<DurationEquation> {
         let (before, now) = (self.first.deskewed(seconds), self.second.deskewed(seconds));
         let motion = self.first_from_second;
         let (mut poses, mut mixed, mut right) = (Matrix3::zeros(), Vector3::zeros(), Vector3::zeros());
@@ -130,13 +131,13 @@ impl Pair<'_> {
         let (step, step_per_second) = (solved.solve(&right), solved.solve(&mixed));
         let information = of_time - mixed.dot(&step_per_second);
         let gradient = right_of_time - mixed.dot(&step);
-        let is_told = information > 0.0 && gradient.is_finite();
-        is_told.then_some(Told { information, gradient, step, step_per_second })
+        let is_solvable = information > 0.0 && gradient.is_finite();
+        is_solvable.then_some(DurationEquation { information, gradient, step, step_per_second })
     }
 
     /// Takes the step of the pose that belongs to a change of the duration.
-    fn improve(&mut self, told: &Told, change: f64) {
-        let step = told.step - told.step_per_second * change;
+    fn improve(&mut self, equation: &DurationEquation, change: f64) {
+        let step = equation.step - equation.step_per_second * change;
         self.first_from_second = Rigid2::new(step.x, step.y, step.z) * self.first_from_second;
     }
 }
@@ -147,18 +148,19 @@ pub(crate) fn scan_duration(motions: &ScanMotions, assumed: f64) -> Option<ScanD
     pairs.retain_mut(|pair| pair.matches(assumed));
     let mut found = ScanDuration { seconds: assumed, sigma: f64::INFINITY };
     for _ in 0..ROUNDS {
-        let told: Vec<Option<Told>> = pairs.iter().map(|pair| pair.tell(found.seconds)).collect();
-        let of_pairs = || told.iter().flatten();
+        let equations: Vec<Option<DurationEquation>> =
+            pairs.iter().map(|pair| pair.equation(found.seconds)).collect();
+        let of_pairs = || equations.iter().flatten();
         if of_pairs().count() < ENOUGH_PAIRS {
             return None;
         }
-        let information: f64 = of_pairs().map(|t| t.information).sum();
-        let change = of_pairs().map(|t| t.gradient).sum::<f64>() / information;
-        // Points of a pair are not independent, pairs nearly so: the spread of what they tell is the error.
-        let spread: f64 = of_pairs().map(|t| (t.gradient - t.information * change).powi(2)).sum();
+        let information: f64 = of_pairs().map(|e| e.information).sum();
+        let change = of_pairs().map(|e| e.gradient).sum::<f64>() / information;
+        // Points of a pair are not independent, pairs nearly so: the spread of their equations is the error.
+        let spread: f64 = of_pairs().map(|e| (e.gradient - e.information * change).powi(2)).sum();
         found = ScanDuration { seconds: found.seconds + change, sigma: spread.sqrt() / information };
-        for (pair, told) in pairs.iter_mut().zip(&told) {
-            told.iter().for_each(|told| pair.improve(told, change));
+        for (pair, equation) in pairs.iter_mut().zip(&equations) {
+            equation.iter().for_each(|equation| pair.improve(equation, change));
         }
         if change.abs() < CONVERGED {
             break;

@@ -35,7 +35,7 @@ impl Fit {
 
 /// What is believed of the pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) enum Belief {
+pub(super) enum PoseBelief {
     /// Scans fit the map.
     #[default]
     Sure,
@@ -56,7 +56,7 @@ pub(super) enum Belief {
     },
 }
 
-impl Belief {
+impl PoseBelief {
     /// After one more scan, with how the map agrees with it; none without anything to compare with.
     pub fn after(self, time: Time, fit: Option<Fit>) -> Self {
         match fit.is_some_and(|fit| self.is_doubted(&fit)) {
@@ -124,42 +124,42 @@ mod tests {
             Some(ScanAgreement { explained, in_free_space: 0.9 - explained, through_solid: 0.0 })
         };
         let at = |i: i64| Time::from_ticks(2_000_000 * i);
-        let mut belief = Belief::Sure;
+        let mut belief = PoseBelief::Sure;
         for i in 0..4 {
             belief = belief.after(at(i), fit(agreement(0.1), false, false));
         }
-        assert_eq!(belief, Belief::Doubtful { since: at(0), scans: 4, is_elsewhere: false });
-        assert_eq!(belief.after(at(4), fit(agreement(0.8), false, false)), Belief::Sure);
-        assert_eq!(belief.after(at(4), fit(None, false, false)), Belief::Sure);
+        assert_eq!(belief, PoseBelief::Doubtful { since: at(0), scans: 4, is_elsewhere: false });
+        assert_eq!(belief.after(at(4), fit(agreement(0.8), false, false)), PoseBelief::Sure);
+        assert_eq!(belief.after(at(4), fit(None, false, false)), PoseBelief::Sure);
         belief = belief.after(at(4), fit(agreement(0.1), false, false));
-        assert_eq!(belief, Belief::Doubtful { since: at(0), scans: 5, is_elsewhere: false });
-        assert_eq!(belief.after(at(5), fit(agreement(0.1), false, false)), Belief::Lost { since: at(0) });
+        assert_eq!(belief, PoseBelief::Doubtful { since: at(0), scans: 5, is_elsewhere: false });
+        assert_eq!(belief.after(at(5), fit(agreement(0.1), false, false)), PoseBelief::Lost { since: at(0) });
     }
 
     #[test]
     fn a_place_where_little_fits_is_none_until_something_does() {
         let at = |i: i64| Time::from_ticks(2_000_000 * i);
         let agreement = |explained| Some(ScanAgreement { explained, in_free_space: 0.3, through_solid: 0.1 });
-        let mut belief = Belief::Sure.after_guess(at(0));
-        assert_eq!(belief, Belief::Doubtful { since: at(0), scans: 1, is_elsewhere: true });
-        assert_eq!(belief.after(at(1), fit(agreement(0.6), true, false)), Belief::Sure);
+        let mut belief = PoseBelief::Sure.after_guess(at(0));
+        assert_eq!(belief, PoseBelief::Doubtful { since: at(0), scans: 1, is_elsewhere: true });
+        assert_eq!(belief.after(at(1), fit(agreement(0.6), true, false)), PoseBelief::Sure);
         for i in 1..=5 {
             belief = belief.after(at(i), fit(agreement(0.45), true, true));
         }
-        assert_eq!(belief, Belief::Lost { since: at(0) });
+        assert_eq!(belief, PoseBelief::Lost { since: at(0) });
         // The same where nothing was measured, or where most is new.
         let believed = |explained: f32, looks_wrong| {
-            (1..=5).fold(Belief::Sure.after_guess(at(0)), |belief, i| {
+            (1..=5).fold(PoseBelief::Sure.after_guess(at(0)), |belief, i| {
                 let agreement = ScanAgreement { explained, in_free_space: 0.3, through_solid: 0.05 };
                 belief.after(at(i), fit(Some(agreement), false, looks_wrong))
             })
         };
-        assert_eq!([believed(0.45, true), believed(0.3, false)], [Belief::Lost { since: at(0) }; 2]);
-        assert_eq!(believed(0.45, false), Belief::Sure);
+        assert_eq!([believed(0.45, true), believed(0.3, false)], [PoseBelief::Lost { since: at(0) }; 2]);
+        assert_eq!(believed(0.45, false), PoseBelief::Sure);
         // Else it takes more.
-        let door = Belief::Sure.after(at(0), fit(agreement(0.1), true, true));
-        assert_eq!(door, Belief::Doubtful { since: at(0), scans: 1, is_elsewhere: false });
-        assert_eq!(door.after(at(1), fit(agreement(0.45), true, true)), Belief::Sure);
+        let door = PoseBelief::Sure.after(at(0), fit(agreement(0.1), true, true));
+        assert_eq!(door, PoseBelief::Doubtful { since: at(0), scans: 1, is_elsewhere: false });
+        assert_eq!(door.after(at(1), fit(agreement(0.45), true, true)), PoseBelief::Sure);
     }
 
     #[test]
@@ -167,12 +167,12 @@ mod tests {
         let at = |i: i64| Time::from_ticks(2_000_000 * i);
         let believed = |through_solid: f32| {
             let agreement = ScanAgreement { explained: 0.1, in_free_space: 0.6, through_solid };
-            (0..10).map(at).fold(Belief::Sure, |b, time| match b {
-                Belief::Lost { .. } => b,
+            (0..10).map(at).fold(PoseBelief::Sure, |b, time| match b {
+                PoseBelief::Lost { .. } => b,
                 _ => b.after(time, fit(Some(agreement), true, false)),
             })
         };
-        assert_eq!(believed(0.0), Belief::Sure);
-        assert_eq!(believed(0.2), Belief::Lost { since: at(0) });
+        assert_eq!(believed(0.0), PoseBelief::Sure);
+        assert_eq!(believed(0.2), PoseBelief::Lost { since: at(0) });
     }
 }

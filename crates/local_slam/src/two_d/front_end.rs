@@ -18,7 +18,7 @@ use portolan_sensor::{ImuData, OdometryData, SynchronizedRanges};
 use portolan_submaps::{Inserter2d, Submap2d};
 
 use super::LocalSlamExtras;
-use super::belief::Belief;
+use super::belief::PoseBelief;
 use super::co_moving::CoMoving;
 use super::dead_reckoning::DeadReckoning;
 use super::gather::{Accumulation, deskew_into, gravity_aligned};
@@ -47,7 +47,7 @@ pub(super) struct FrontEnd {
     level: LevelFilter,
     extras: LocalSlamExtras,
     tracker: Tracker,
-    belief: Belief,
+    belief: PoseBelief,
     co_moving: CoMoving,
     /// The last pose that was sure, in the local map.
     last_sure: Rigid2,
@@ -95,7 +95,7 @@ impl FrontEnd {
             extrapolator: None,
             level: LevelFilter::default(),
             extras,
-            belief: Belief::default(),
+            belief: PoseBelief::default(),
             co_moving: CoMoving::default(),
             last_sure: Rigid2::identity(),
             reckoned: DeadReckoning::from(Rigid2::identity()),

@@ -85,7 +85,7 @@ impl LocalSlam2d {
     fn begin(&mut self) -> Vec<MatchingResult<Planar>> {
         let (motion, held) = self.start.decided();
         match motion {
-            FirstMotion::Told => {}
+            FirstMotion::Odometry => {}
             FirstMotion::Velocity(velocity) => self.front_end.set_velocity(velocity),
             FirstMotion::InSpiteOfOdometry(velocity) => {
                 self.front_end.set_velocity_in_spite_of_odometry(velocity)

@@ -53,14 +53,14 @@ struct LastMotion {
     open: f64,
 }
 
-/// How well a scan tells how the scanner moved.
+/// How well a scan constrains the motion since the last one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Told {
-    Well,
-    /// It leaves a direction open, or has few witnesses: most comes from the prediction.
-    Hardly,
-    /// And it was found far from the prediction.
-    Guessed,
+pub(super) enum MotionObservability {
+    Full,
+    /// It leaves a direction open, or has few witnesses: most of the motion comes from the prediction.
+    Weak,
+    /// As weak, and the scan was found far from the prediction: the motion is a guess.
+    Guess,
 }
 
 /// What either model says of the pose of the next scan.
@@ -96,13 +96,13 @@ impl OdometryFailure {
         }
     }
 
-    /// Takes how the scanner moved, and how well a scan told it.
-    pub fn add_motion(&mut self, moved: &Rigid2, seconds: f64, told: Told) {
+    /// Takes how the scanner moved, and how well a scan constrained that.
+    pub fn add_motion(&mut self, moved: &Rigid2, seconds: f64, observability: MotionObservability) {
         let before = self.last.map_or(0.0, |last| last.open * seconds / last.seconds);
-        let open = match told {
-            Told::Well => 0.0,
-            Told::Hardly => before.hypot(ACCELERATION * seconds.powi(2)),
-            Told::Guessed => FASTEST.linear * seconds,
+        let open = match observability {
+            MotionObservability::Full => 0.0,
+            MotionObservability::Weak => before.hypot(ACCELERATION * seconds.powi(2)),
+            MotionObservability::Guess => FASTEST.linear * seconds,
         };
         let is_known = seconds > 0.0 && seconds <= LONGEST_MEASURED;
         self.last = is_known.then_some(LastMotion { moved: *moved, seconds, open });
@@ -191,15 +191,15 @@ mod tests {
 
     /// What one scan says of odometry that measured so many metres while the scanner moved so far the scan before.
     fn measured(failure: &mut OdometryFailure, moved: f64, metres: f64) -> Option<(MotionPrior, f64)> {
-        measured_after(failure, (moved, Told::Well), metres)
+        measured_after(failure, (moved, MotionObservability::Full), metres)
     }
 
     fn measured_after(
         failure: &mut OdometryFailure,
-        (moved, told): (f64, Told),
+        (moved, observability): (f64, MotionObservability),
         metres: f64,
     ) -> Option<(MotionPrior, f64)> {
-        failure.add_motion(&Rigid2::new(moved, 0.0, 0.0), SECONDS, told);
+        failure.add_motion(&Rigid2::new(moved, 0.0, 0.0), SECONDS, observability);
         let motion = Motion::measured(SECONDS);
         failure
             .add_measured(motion, &MotionPrior { prediction: Rigid2::new(metres, 0.0, 0.0), sigmas: SIGMAS })
@@ -221,7 +221,7 @@ mod tests {
     fn nothing_stops_at_once_at_the_speed_of_a_car() {
         let suspected = |moved: f64, metres: f64| {
             let mut failure = OdometryFailure::default();
-            failure.add_motion(&Rigid2::new(moved, 0.0, 0.0), SECONDS, Told::Well);
+            failure.add_motion(&Rigid2::new(moved, 0.0, 0.0), SECONDS, MotionObservability::Full);
             let prediction = Rigid2::new(metres, 0.0, 0.0);
             failure.suspected(Motion::measured(SECONDS), &MotionPrior { prediction, sigmas: SIGMAS })
         };
@@ -260,17 +260,19 @@ mod tests {
 
     #[test]
     fn a_velocity_that_scans_left_open_says_little() {
-        let odds = |told: [Told; 3]| {
+        let odds = |observabilities: [MotionObservability; 3]| {
             let mut failure = OdometryFailure::default();
             let (_, log_odds) = measured(&mut failure, 0.25, 0.0).expect("a sudden stop is doubted");
             assert!(failure.fails(log_odds + 5.0));
-            told.map(|told| {
-                measured_after(&mut failure, (0.4, told), 0.07)
+            observabilities.map(|observability| {
+                measured_after(&mut failure, (0.4, observability), 0.07)
                     .map(|(prior, odds)| (prior.sigmas.translation, odds))
             })
         };
-        let [.., well] = odds([Told::Well; 3]).map(Option::unwrap);
-        let [.., open] = odds([Told::Guessed, Told::Hardly, Told::Hardly]).map(Option::unwrap);
+        let [.., well] = odds([MotionObservability::Full; 3]).map(Option::unwrap);
+        let [.., open] =
+            odds([MotionObservability::Guess, MotionObservability::Weak, MotionObservability::Weak])
+                .map(Option::unwrap);
         assert!(well.0 < 0.06 && open.0 > 0.4, "{well:?} {open:?}");
         assert!(open.1 < well.1 - 1.0, "{well:?} {open:?}");
     }
@@ -278,7 +280,7 @@ mod tests {
     #[test]
     fn a_velocity_of_long_ago_says_nothing() {
         let mut failure = OdometryFailure::default();
-        failure.add_motion(&Rigid2::new(1.0, 0.0, 0.0), 2.0, Told::Well);
+        failure.add_motion(&Rigid2::new(1.0, 0.0, 0.0), 2.0, MotionObservability::Full);
         let motion = Motion::measured(SECONDS);
         let standing = MotionPrior { prediction: Rigid2::identity(), sigmas: SIGMAS };
         assert!(failure.add_measured(motion, &standing).is_none());

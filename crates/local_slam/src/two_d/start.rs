@@ -192,11 +192,11 @@ fn log_likelihood(prediction: Rigid2, found: &Found, motion: Motion, scan: &Scan
 /// What is believed of the motion when recording begins.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum FirstMotion {
-    /// Odometry tells it.
-    Told,
+    /// Odometry measures it.
+    Odometry,
     /// Nothing measured it.
     Velocity(Velocity),
-    /// Odometry tells it, but fails.
+    /// Odometry measures it, but fails.
     InSpiteOfOdometry(Velocity),
 }
 
@@ -296,7 +296,7 @@ impl Start {
         let times = self.scan_times();
         let still = Velocity::default();
         let has_odometry = self.held().iter().any(|held| matches!(held, Held::Odometry(_)));
-        let mut motion = if has_odometry { FirstMotion::Told } else { FirstMotion::Velocity(still) };
+        let mut motion = if has_odometry { FirstMotion::Odometry } else { FirstMotion::Velocity(still) };
         if times.len() < FEWEST_SCANS || is_sparse(&times) {
             return motion;
         }

@@ -19,7 +19,7 @@ use super::degeneracy::WeakDirection;
 use super::hypotheses::{Basis, Judgement, Looked};
 use super::motion::{ACCELERATION, ANGULAR_ACCELERATION, Measured, Motion, WIDEST, reached_by_acceleration};
 use super::occlusion::Occlusion;
-use super::odometry_failure::{OdometryFailure, Told};
+use super::odometry_failure::{MotionObservability, OdometryFailure};
 use super::odometry_scale::OdometryScale;
 use super::posterior::{BeamEvidence, MotionPrior};
 use super::prediction_error::{PredictionError, PredictionSigmas, UsualScore};
@@ -269,12 +269,12 @@ impl Tracker {
             _ => self.weigh(found.pose, near.around, motion, &scan, weighed, is_failing || is_far),
         };
         // 4. Learn how odometry and beams agree with it. Where scans leave a direction open, they do not say how far it went.
-        let told_by_scan = match (is_open, is_far) {
-            (false, _) => Told::Well,
-            (true, false) => Told::Hardly,
-            (true, true) => Told::Guessed,
+        let observability = match (is_open, is_far) {
+            (false, _) => MotionObservability::Full,
+            (true, false) => MotionObservability::Weak,
+            (true, true) => MotionObservability::Guess,
         };
-        self.odometry_failure.add_motion(&motion.to(&pose), motion.seconds, told_by_scan);
+        self.odometry_failure.add_motion(&motion.to(&pose), motion.seconds, observability);
         if near.basis == Basis::Measured && !is_far && !is_open {
             let measured = motion.to(&told);
             let sigma = self.prediction_error.sigmas(&measured).translation;

@@ -17,8 +17,8 @@ const STACK: usize = 64 << 20;
 /// Reading fails when so much of it is used. Between two bytes of the file the decompressor takes far less than the rest.
 pub(super) const DEEPEST: usize = 24 << 20;
 
-/// What the thread tells.
-enum Told {
+/// What the thread sends.
+enum ReaderMessage {
     /// The file is open: what its points have, and how many there are.
     Opened(Attributes, Option<u64>),
     /// Points, none at the end, and all issues so far.
@@ -31,13 +31,13 @@ struct LasPoints {
     path: PathBuf,
     attributes: Attributes,
     count: Option<u64>,
-    told: Receiver<Told>,
+    messages: Receiver<ReaderMessage>,
     issues: Vec<Issue>,
 }
 
 /// Opens a LAS or LAZ file.
 pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
-    let (sender, told) = sync_channel(1);
+    let (sender, messages) = sync_channel(1);
     let path = path.to_owned();
     let read = {
         let path = path.clone();
@@ -48,28 +48,28 @@ pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
     };
     let thread = std::thread::Builder::new().name("las".to_owned()).stack_size(STACK).spawn(read);
     thread.map_err(|error| CloudError::read(&path, error))?;
-    match told.recv() {
-        Ok(Told::Opened(attributes, count)) => {
-            Ok(Box::new(LasPoints { path, attributes, count, told, issues: Vec::new() }))
+    match messages.recv() {
+        Ok(ReaderMessage::Opened(attributes, count)) => {
+            Ok(Box::new(LasPoints { path, attributes, count, messages, issues: Vec::new() }))
         }
-        Ok(Told::Failed(error)) => Err(error),
+        Ok(ReaderMessage::Failed(error)) => Err(error),
         _ => Err(CloudError::damaged(&path, "it cannot be decoded")),
     }
 }
 
-/// Tells everything of a file; ends early when nobody listens any more.
-fn read(path: &Path, sender: &SyncSender<Told>) -> Option<()> {
-    let tell = |told: Told| sender.send(told).ok();
+/// Sends everything of a file; ends early when nobody listens any more.
+fn read(path: &Path, sender: &SyncSender<ReaderMessage>) -> Option<()> {
+    let send = |message: ReaderMessage| sender.send(message).ok();
     let mut reader = match open_here(path) {
         Ok(reader) => reader,
-        Err(error) => return tell(Told::Failed(error)),
+        Err(error) => return send(ReaderMessage::Failed(error)),
     };
-    tell(Told::Opened(reader.attributes(), reader.count()))?;
+    send(ReaderMessage::Opened(reader.attributes(), reader.count()))?;
     loop {
         let mut batch = PointCloud::default();
         match reader.next_batch(&mut batch) {
-            Ok(goes_on) => tell(Told::Points(batch, reader.issues())).filter(|()| goes_on)?,
-            Err(error) => return tell(Told::Failed(error)),
+            Ok(goes_on) => send(ReaderMessage::Points(batch, reader.issues())).filter(|()| goes_on)?,
+            Err(error) => return send(ReaderMessage::Failed(error)),
         }
     }
 }
@@ -85,13 +85,13 @@ impl CloudReader for LasPoints {
 
     fn next_batch(&mut self, batch: &mut PointCloud) -> Result<bool, CloudError> {
         batch.reset(self.attributes);
-        match self.told.recv() {
-            Ok(Told::Points(points, issues)) => {
+        match self.messages.recv() {
+            Ok(ReaderMessage::Points(points, issues)) => {
                 self.issues = issues;
                 *batch = points;
                 Ok(!batch.is_empty())
             }
-            Ok(Told::Failed(error)) => Err(error),
+            Ok(ReaderMessage::Failed(error)) => Err(error),
             _ => Err(CloudError::damaged(&self.path, "its points cannot be decoded")),
         }
     }

@@ -7,7 +7,7 @@ use portolan_issue::IssueKind;
 use portolan_sensor::{PointCloud, RangeData, voxel_filter};
 use portolan_submaps::{PlanarScan, Submap2d, search_after_gap};
 
-use super::super::belief::{Belief, Fit};
+use super::super::belief::{Fit, PoseBelief};
 use super::super::co_moving::Marked;
 use super::super::dead_reckoning::DeadReckoning;
 use super::super::gather::GatheredScan;
@@ -59,16 +59,16 @@ impl FrontEnd {
         self.note_left_open(time, &expected, &found);
         // 5. Believe that, or begin a new piece of map.
         let (pose, lost) = self.believed(time, &expected, &found, &gravity)?;
-        if let (None, Belief::Sure, Some(marked)) = (&lost, self.belief, marked) {
+        if let (None, PoseBelief::Sure, Some(marked)) = (&lost, self.belief, marked) {
             self.co_moving.learn(time, pose, marked);
         }
         let local_from_tracking = embed_3d(&pose) * gravity;
         self.extrapolator.as_mut()?.add_pose(time, local_from_tracking);
-        let tells_place = found.tells_place && self.belief == Belief::Sure;
+        let tells_place = found.tells_place && self.belief == PoseBelief::Sure;
         self.level.add_pose(time, &local_from_tracking, tells_place);
         // 6. Insert.
         let range_data_in_local = scan.transformed(&to_f32(&embed_3d(&pose)));
-        let inserted = if let Belief::Doubtful { .. } = self.belief {
+        let inserted = if let PoseBelief::Doubtful { .. } = self.belief {
             self.count(IssueKind::ScanContradictsMap, time);
             None
         } else {
@@ -135,7 +135,7 @@ impl FrontEnd {
             return (View::Nothing, None);
         }
         // On trial the motion is a hypothesis that the scan may refute, and in doubt the pose is one.
-        let is_believed = !self.role.is_trial() && self.belief == Belief::Sure;
+        let is_believed = !self.role.is_trial() && self.belief == PoseBelief::Sure;
         let is_judged = self.tracker.is_adaptive() && is_believed;
         let (true, Some(motion), Some(submap)) = (is_judged, motion, self.active_submaps.matching_submap())
         else {
@@ -249,7 +249,7 @@ impl FrontEnd {
         let is_unknown = motion.is_some_and(|motion| motion.is_unknown());
         let is_guess = is_refuted || is_unknown && fit.is_some_and(|fit| fit.is_poor());
         self.belief = match gap {
-            Some(_) => Belief::Sure,
+            Some(_) => PoseBelief::Sure,
             None if is_guess => self.belief.after_guess(time),
             None => self.belief.after(time, fit),
         };
@@ -259,8 +259,8 @@ impl FrontEnd {
         }
         Some(match (gap, self.belief) {
             (Some(gap), _) => (*prediction, Some(self.begin_after_gap(time, gap, at(prediction)))),
-            (None, Belief::Lost { since }) => self.begin_where_reckoned(since, time, gravity),
-            (None, Belief::Sure | Belief::Doubtful { .. }) => (pose, None),
+            (None, PoseBelief::Lost { since }) => self.begin_where_reckoned(since, time, gravity),
+            (None, PoseBelief::Sure | PoseBelief::Doubtful { .. }) => (pose, None),
         })
     }
 

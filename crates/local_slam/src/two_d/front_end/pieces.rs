@@ -3,7 +3,7 @@
 use portolan_geometry::{Duration, Quaternion, Rigid2, Rigid3, Time, embed_3d, yaw};
 use portolan_motion::PoseExtrapolator;
 
-use super::super::belief::Belief;
+use super::super::belief::PoseBelief;
 use super::super::co_moving::CoMoving;
 use super::super::start::Velocity;
 use super::{FrontEnd, no_submaps};
@@ -61,8 +61,8 @@ impl FrontEnd {
     /// Since when scans have fitted nothing where they were looked for, if the last ones do not and it is a guess.
     pub fn lost_since(&self) -> Option<Time> {
         match self.belief {
-            Belief::Doubtful { since, is_elsewhere: true, .. } => Some(since),
-            Belief::Sure | Belief::Doubtful { .. } | Belief::Lost { .. } => None,
+            PoseBelief::Doubtful { since, is_elsewhere: true, .. } => Some(since),
+            PoseBelief::Sure | PoseBelief::Doubtful { .. } | PoseBelief::Lost { .. } => None,
         }
     }
 
