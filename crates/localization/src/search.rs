@@ -12,8 +12,8 @@ use crate::state::Reason;
 const MOST_PLACES: usize = 32;
 pub(crate) const REFUTED_BY: f64 = 0.3;
 /// A place is believed if it fits so well, and what was seen speaks for it against each other place by so many standard
-/// deviations. In 2,389 searches on the ways of aces, fr079, intel and mit-csail, most of them where the map knows nothing or
-/// in another building's map, none of 330 wrong places that fitted so had more than 1.7 (docs/experiments/2026-11-believing-places.md).
+/// deviations: with a margin to the most that wrong places reach which fit so, in parts of the building that the map does not know
+/// and in maps of another building (docs/experiments/2026-11-believing-places.md).
 pub(crate) const FIT: f64 = 0.4;
 const EVIDENCE: f64 = 2.5;
 /// It has to fit better by so much for a scanner that stands, because one view says little; after this way, metres, where a

@@ -119,7 +119,7 @@ pub fn migrate(input: &Path, output: &Path, options: MigrateOptions) -> Result<M
 /// What is to be done, known after reading the map once.
 struct Plan {
     from_version: u32,
-    /// Of Portolan, if it stands in the header, where it used to be.
+    /// Portolan's own configuration, which older files have in the header; empty where it is not there.
     configuration: String,
     histograms: BTreeMap<IdInFile, Vec<f32>>,
     unfinished: BTreeSet<IdInFile>,

@@ -49,7 +49,7 @@ const TELLING: WantedPlaces = WantedPlaces {
     lookups: 0,
 };
 /// Charged for both searches, whose look-ups are not counted: so that a walker who makes a node each 0.15 m is looked for once in a metre.
-/// With the most that the first may look up a walk took more than 8 s to be found in its own map.
+/// Charging the most that the first may look up would make that once in five metres.
 const CHARGED_LOOKUPS: u64 = 15_000_000;
 /// The scanner is at the height of a node no farther than this from its place, metres; nodes whose heights differ by
 /// so much are on different storeys.

@@ -3,8 +3,8 @@
 use portolan_geometry::Time;
 use portolan_grids::ScanAgreement;
 
-/// A scan of which the map contradicts this fraction of all beams fits nothing there. Of 6,566 scans of a building walked
-/// through without odometry only those after a cut reach 0.3, and they 0.48 to 0.58.
+/// A scan of which the map contradicts this fraction of all beams fits nothing there: more than people and doors explain, and
+/// less than scans of another place reach (docs/experiments/2026-11-lost-and-late.md).
 const CONTRADICTED: f32 = 0.4;
 /// Where odometry measured the motion a scan fits nothing if the map contradicts this fraction of all beams, explains less
 /// than that, and so many pass through walls. People and things that moved hide walls, but nothing sees through them

@@ -53,12 +53,12 @@ const AT_SPEED: f64 = 0.1;
 const SLOW: f64 = 0.5;
 
 /// Scans that lie right among those before them are mostly more likely than this, each, in nats: where odometry leads to that, no other
-/// motion is looked for. In buildings 19 to 44 were measured, where wheels stand at speed at most 7
+/// motion is looked for. Scans of buildings nearly always reach it where odometry works, those at speed with wheels that stand do not
 /// (docs/experiments/2026-11-planar-starts.md).
 const USUAL: f64 = 25.0;
 /// Odometry is not believed where another motion is more likely by so many nats. The beams of a scan share errors and the second holds
-/// few scans, so the evidence is overrated: in buildings another motion was more likely by up to 68 nats, at speed by 184 with
-/// odometry that is 30 % too long and by 297 at least with wheels that stand.
+/// few scans, so the evidence is overrated. The limit lies between what another motion reaches where odometry works and where wheels
+/// stand at speed (docs/experiments/2026-11-planar-starts.md).
 const ODOMETRY_WORKS: f64 = 100.0;
 
 /// A velocity in the plane.
