@@ -1,6 +1,7 @@
 //! From scans in the local map to places in the known one: searching, tracking, getting lost and being found.
 
 use portolan_geometry::{Point3f, Rigid3, Time, to_f32};
+use portolan_mapping::{MatchingResult, Space};
 use portolan_sensor::PointCloud;
 
 use crate::changes::{Change, ChangeCounter};
@@ -48,6 +49,19 @@ pub struct LocalScan<'a> {
     pub origin: Point3f,
     /// Whether local SLAM lost its way before it.
     pub begins_anew: bool,
+}
+
+impl<'a> LocalScan<'a> {
+    /// What local SLAM made of it.
+    pub fn of<S: Space>(scan: &'a MatchingResult<S>) -> Self {
+        Self {
+            time: scan.time,
+            local_from_tracking: scan.local_from_tracking,
+            returns: &scan.range_data_in_local.returns,
+            origin: scan.range_data_in_local.origin,
+            begins_anew: scan.lost.as_ref().is_some_and(|lost| lost.bridge.is_none()),
+        }
+    }
 }
 
 /// What is being done.

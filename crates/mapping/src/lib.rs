@@ -44,9 +44,9 @@ pub use portolan_optimization::{
     Constraint, ConstraintTag, IndexedId, NodeId, OpenShift, SubmapId, TrajectoryId, of_trajectory,
 };
 pub use pose_graph::{
-    CellFate, Consistency, Coverage, Drift, Extension, GraphState, InitialTrajectoryPose, LoopSearchPolicy,
-    PoseGraph, PoseGraphPolicy, Replacement, SearchCounts, SubmapEntry, TrajectoryEntry, TrajectoryState,
-    TrimmedNode, TrimmedNodes, TrimmedTies, Trimmer, VoxelFate,
+    CellFate, Consistency, Coverage, Drift, Extension, FoundPlace, GraphState, InitialTrajectoryPose,
+    LoopSearchPolicy, PoseGraph, PoseGraphPolicy, Replacement, SearchCounts, SubmapEntry, TrajectoryEntry,
+    TrajectoryState, TrimmedNode, TrimmedNodes, TrimmedTies, Trimmer, VoxelFate,
 };
 pub use space::{MatchedPose, Nearby, PlaceFinder, ProposedPlaces, SearchRegion, Space, SubmapInMap};
 pub use spatial::SpatialMatcher;

@@ -74,6 +74,7 @@ pub use summary::MappingSummary;
 
 use crate::RequestedOptions;
 use crate::automatic::search_in_known_map;
+use crate::known_places::KnownMapSpace;
 use crate::pipeline::{
     KnownMap, MappedRecording, PipelineError, PipelineProgress, Preparation, map_recording, prepare,
 };
@@ -294,7 +295,7 @@ impl<'a> Job<'a> {
     ///
     /// # Errors
     /// Fails if the recording cannot be read or holds not a single scan that can be used.
-    pub fn map<S: MapSpace>(
+    pub fn map<S: MapSpace + KnownMapSpace>(
         &self,
         known: KnownMap<S>,
         observe: &mut Observer,

@@ -3,6 +3,7 @@
 pub mod assets;
 pub mod automatic;
 pub mod job;
+mod known_places;
 mod losses;
 pub mod pipeline;
 #[cfg(doctest)]
@@ -14,6 +15,7 @@ pub mod trajectory_file;
 mod unusable_scans;
 
 pub use automatic::{Lidar, Sensors, settings_for};
+pub use known_places::KnownMapSpace;
 pub use requested::{LIFELONG, RequestedOptions};
 pub use unusable_scans::{ScanTally, UnusableScans};
 

@@ -21,6 +21,7 @@ use portolan_reprojection::KeptScans;
 use portolan_sensor::SensorId;
 
 use crate::automatic;
+use crate::known_places::KnownMapSpace;
 use crate::silence::Silences;
 use crate::soundness::sound_poses;
 use crate::unusable_scans::{ScanTally, UnusableScans};
@@ -372,7 +373,7 @@ impl<S: Space> KnownMap<S> {
 /// `observe` is called now and then and stops everything cleanly by returning false.
 ///
 /// Long, because what comes after the loop takes apart everything that the loop has filled.
-pub fn map_recording<S: Space>(
+pub fn map_recording<S: KnownMapSpace>(
     recording: &dyn Recording,
     ingest: &IngestOptions,
     preparation: Preparation,
@@ -383,6 +384,7 @@ pub fn map_recording<S: Space>(
     let Preparation { inventory, plan, options, keep_scans_in, spool_in, memory, .. } = preparation;
     let mut ingestion = Ingestion::with_plan(recording, &inventory, plan.clone(), ingest)?;
     let initial_pose = inventory.first_time.and_then(|time| known.initial_pose(time));
+    let mut tracker = S::place_tracker(known.graph.state(), known.start, &options, settings.threads);
     let (known_issues, frame) = (known.issues, known.frame);
     let mut mapper = Mapper::<S>::with_graph(&options, settings, known.graph, known.trajectories)?;
     mapper.remember_with(&memory)?;
@@ -394,10 +396,12 @@ pub fn map_recording<S: Space>(
     let mut kept_scans = keep_scans_in.as_deref().map_or_else(KeptScans::default, KeptScans::in_folder);
     let (mut scans, mut interrupted) = (0, false);
     let mut take = |matched: Vec<MatchingResult<S>>| {
-        let mut keep = |scan: &MatchingResult<S>| {
+        for scan in &matched {
             kept_scans.keep(scan.time, &scan.local_from_tracking, &scan.measured);
-        };
-        matched.iter().for_each(&mut keep);
+            if let Some(tracker) = &mut tracker {
+                tracker.add(scan);
+            }
+        }
         scans += matched.len() as u64;
     };
     let mut span: Option<(Time, Time)> = None;
@@ -422,6 +426,10 @@ pub fn map_recording<S: Space>(
     }
     take(mapper.finish_trajectory(trajectory_id)?);
     kept_scans.finish();
+    if let Some(tracker) = tracker {
+        let (known, found) = (tracker.known_submaps().clone(), tracker.found());
+        mapper.with_pose_graph(move |graph| graph.tie_found(&known, &found))?;
+    }
     let scan_times = mapper.scan_times().clone();
     let degenerate_intervals = mapper.degenerate_intervals().to_vec();
     let losses = mapper.losses().to_vec();

@@ -126,13 +126,7 @@ impl<M: KnownMap> Localizer<M> {
     fn find(&mut self, matched: Vec<MatchingResult<M::Space>>) -> Vec<Estimate> {
         let (finder, track, sweeps) = (&mut self.finder, &mut self.track, &mut self.sweeps);
         let find = |scan: MatchingResult<M::Space>| {
-            let local = LocalScan {
-                time: scan.time,
-                local_from_tracking: scan.local_from_tracking,
-                returns: &scan.range_data_in_local.returns,
-                origin: scan.range_data_in_local.origin,
-                begins_anew: scan.lost.as_ref().is_some_and(|lost| lost.bridge.is_none()),
-            };
+            let local = LocalScan::of(&scan);
             let estimate = finder.add(&local);
             if let Some(track) = track {
                 let placement = estimate.placement(M::CERTAIN_PLACE);

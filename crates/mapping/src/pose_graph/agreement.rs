@@ -273,7 +273,7 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    fn move_part(&mut self, part: TrajectoryId, by: &Rigid3) {
+    pub(super) fn move_part(&mut self, part: TrajectoryId, by: &Rigid3) {
         for id in self.state.connectivity.members(part) {
             if self.problem.frozen.contains(&id) {
                 continue;

@@ -19,7 +19,7 @@ const FEWEST_SCANS: usize = 10;
 /// lies where they put it.
 const LEAST_PLACED: f64 = 0.5;
 /// Matches to the map that are nearer together than this, metres, see the same errors of it; one of them is enough.
-const TIE_SPACING: f64 = 0.5;
+pub(super) const TIE_SPACING: f64 = 0.5;
 
 /// What a recording added to a map.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -12,10 +12,11 @@ use super::memory::resident_and_peak_bytes;
 use super::output_folder::OutputFolder;
 use super::pictures::write_pictures;
 use super::report::report;
+use crate::known_places::KnownMapSpace;
 use crate::pipeline::MappedRecording;
 
 /// A space whose maps can be shown from above.
-pub trait ResultSpace: MapSpace {
+pub trait ResultSpace: MapSpace + KnownMapSpace {
     /// The submaps as textures.
     fn textures(map: &Map<Self>) -> Vec<PlacedTexture>;
 }

@@ -1,0 +1,71 @@
+//! Where a recording lies in a known map while it is mapped beside it.
+
+use std::collections::BTreeMap;
+
+use portolan_geometry::{Rigid3, Time};
+use portolan_mapping::{FoundPlace, GraphState, MatchingResult, Placement, Space, Spatial, SubmapId};
+
+use crate::finder::{Finder, LocalScan};
+use crate::known_map::KnownMap;
+use crate::localizer::StartPose;
+use crate::search::Searcher;
+use crate::spatial_map::SpatialMap;
+use crate::state::Estimate;
+use crate::trust::trusted_spans;
+
+/// Finds the scans of a recording that is mapped in a map that was known before.
+pub trait PlaceTracker<S: Space>: Send {
+    /// Takes what became of a scan.
+    fn add(&mut self, scan: &MatchingResult<S>);
+    /// Where scans were found, as well as a match to the map tells it, and without a doubt soon after.
+    fn found(&self) -> Vec<FoundPlace>;
+    /// Where the submaps of the known map lay when it was loaded.
+    fn known_submaps(&self) -> &BTreeMap<SubmapId, Rigid3>;
+}
+
+/// A tracker in a known map of space; none if there is nothing in it by which scans could be found, or no threads can be started
+/// (0: as many as there are cores).
+pub fn place_tracker_in_space(
+    known: &GraphState<Spatial>,
+    start: Option<StartPose>,
+    threads: usize,
+) -> Option<Box<dyn PlaceTracker<Spatial>>> {
+    let map = SpatialMap::new(known).ok()?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().ok()?;
+    let start = start.map(|s| (s.map_from_tracking, (s.sigma_metres, s.sigma_radians)));
+    let submaps = known.submaps.keys().filter_map(|id| Some((*id, known.map_from_submap(*id)?)));
+    Some(Box::new(Tracker {
+        finder: Finder::new(Searcher { map, pool }, start),
+        estimates: Vec::new(),
+        placements: Vec::new(),
+        submaps: submaps.collect(),
+    }))
+}
+
+struct Tracker<M: KnownMap> {
+    finder: Finder<M>,
+    estimates: Vec<Estimate>,
+    placements: Vec<(Time, Rigid3)>,
+    submaps: BTreeMap<SubmapId, Rigid3>,
+}
+
+impl<M: KnownMap> PlaceTracker<M::Space> for Tracker<M> {
+    fn add(&mut self, scan: &MatchingResult<M::Space>) {
+        let estimate = self.finder.add(&LocalScan::of(scan));
+        if let Placement::Found(map_from_tracking) = estimate.placement(M::CERTAIN_PLACE) {
+            self.placements.push((scan.time, map_from_tracking));
+        }
+        self.estimates.push(estimate);
+    }
+
+    fn found(&self) -> Vec<FoundPlace> {
+        let spans = trusted_spans(&self.estimates);
+        let is_trusted = |time: &Time| spans.iter().any(|(first, last)| (first..=last).contains(&time));
+        let trusted = self.placements.iter().filter(|(time, _)| is_trusted(time));
+        trusted.map(|(time, pose)| FoundPlace { time: *time, map_from_tracking: *pose }).collect()
+    }
+
+    fn known_submaps(&self) -> &BTreeMap<SubmapId, Rigid3> {
+        &self.submaps
+    }
+}
