@@ -81,3 +81,54 @@ impl<S: Space> PoseGraph<S> {
         self.move_part(self.state.connectivity.first_connected(part), &by);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use portolan_config::Options;
+
+    use super::*;
+    use crate::made_rooms::{node, submap};
+    use crate::{InsertedNode, InsertionSubmap, NodeData, Planar, of_trajectory};
+
+    const ROOM: (f32, f32) = (9.0, 7.0);
+
+    /// Adds a node that was taken after so many seconds, with a complete submap of the room.
+    fn add(graph: &mut PoseGraph<Planar>, id: TrajectoryId, seconds: f64) {
+        let data = NodeData { time: Time::from_unix_seconds(seconds), ..node(ROOM, (0.5, 0.2)) };
+        let finished = Some(Arc::new(submap(ROOM)));
+        let submaps = vec![InsertionSubmap { index: 0, local_from_submap: Rigid3::identity(), finished }];
+        graph.add_node(id, InsertedNode::new(Arc::new(data), submaps));
+    }
+
+    #[test]
+    fn what_was_found_is_put_there_and_tied() {
+        let mut graph = PoseGraph::<Planar>::new(Options::for_2d().map_builder.pose_graph);
+        let [known, new] = [TrajectoryId(0), TrajectoryId(1)];
+        for (id, seconds) in [(known, 1.0), (new, 100.0)] {
+            graph.add_trajectory(id, None);
+            add(&mut graph, id, seconds);
+        }
+        let submaps: BTreeMap<SubmapId, Rigid3> = graph
+            .problem
+            .submaps
+            .iter()
+            .filter(|(id, _)| id.trajectory_id == known)
+            .map(|(id, p)| (*id, *p))
+            .collect();
+        assert!(!submaps.is_empty() && !graph.state.connectivity.are_connected(known, new));
+        let map_from_tracking = Rigid3::translation(2.0, -1.0, 0.0);
+        let at = |seconds| FoundPlace { time: Time::from_unix_seconds(seconds), map_from_tracking };
+        assert_eq!(graph.tie_found(&submaps, &[at(1.0), at(50.0)]), 0, "known nodes, and no nodes at all");
+        assert_eq!(graph.tie_found(&submaps, &[at(100.0), at(100.0)]), 1, "once in half a metre");
+        assert!(graph.state.connectivity.are_connected(known, new));
+        let (_, placed) = of_trajectory(&graph.problem.nodes, new).next().unwrap();
+        assert!(
+            (placed.map_from_node.translation.vector - map_from_tracking.translation.vector).norm() < 1e-9
+        );
+        let ties =
+            graph.state.constraints.iter().filter(|c| c.node_id.trajectory_id != c.submap_id.trajectory_id);
+        assert_eq!(ties.count(), 1);
+    }
+}
