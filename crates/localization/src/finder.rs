@@ -106,14 +106,14 @@ pub(crate) struct Finder<M: KnownMap> {
     told: Option<ToldStart>,
     /// One that scans have not reached yet.
     fix: Option<PositionFix>,
-    changes: Box<dyn ChangeCounter>,
+    /// None where nobody wants to know what has changed.
+    changes: Option<Box<dyn ChangeCounter>>,
 }
 
 impl<M: KnownMap> Finder<M> {
     /// With the start that somebody told, and its standard deviations in metres and radians.
     pub fn new(searcher: Searcher<M>, start: Option<(Rigid3, (f64, f64))>) -> Self {
         let mode = Mode::Searching { places: Places::default(), lost: None };
-        let changes = searcher.map.change_counter();
         Self {
             searcher,
             recent: RecentScans::default(),
@@ -123,8 +123,13 @@ impl<M: KnownMap> Finder<M> {
             start,
             told: None,
             fix: None,
-            changes,
+            changes: None,
         }
+    }
+
+    /// Where scans contradict the map is counted from now on.
+    pub fn counting_changes(self) -> Self {
+        Self { changes: Some(self.searcher.map.change_counter()), ..self }
     }
 
     /// Takes a satellite fix: while no place is known it is where the scanner may be.
@@ -165,9 +170,9 @@ impl<M: KnownMap> Finder<M> {
         Estimate { time: scan.time, state, reason, local_from_tracking: scan.local_from_tracking, place }
     }
 
-    /// Where scans contradicted the map.
+    /// Where scans contradicted the map, if that is counted.
     pub fn changes(&self) -> Vec<Change> {
-        self.changes.changes()
+        self.changes.as_ref().map_or_else(Vec::new, |counter| counter.changes())
     }
 
     /// Where the recording was told to be, by a start or a satellite fix, when it was last looked for: the pose in the map, and
@@ -193,14 +198,14 @@ impl<M: KnownMap> Finder<M> {
 
     /// Compares a scan whose place is known with the map.
     fn count_changes(&mut self, scan: &LocalScan, current: &Current<M::Scan>) {
-        let Mode::Tracking(track) = &self.mode else { return };
+        let (Mode::Tracking(track), Some(changes)) = (&self.mode, &mut self.changes) else { return };
         let belief = &track.place.belief;
         if belief.sigmas().0 > M::CERTAIN_PLACE {
             return;
         }
         let map_from_local = belief.pose * current.local_from_scan.inverse();
         let origin = map_from_local * scan.origin.cast::<f64>();
-        self.changes.add(&PlacedScan {
+        changes.add(&PlacedScan {
             time: scan.time,
             origin: origin.coords,
             map_from_local,

@@ -15,8 +15,8 @@ use crate::trust::trusted_spans;
 
 /// Finds the scans of a recording that is mapped in a map that was known before.
 pub trait PlaceTracker<S: Space>: Send {
-    /// Takes what became of a scan.
-    fn add(&mut self, scan: &MatchingResult<S>);
+    /// Takes what became of a scan; where it was found, as far as is known by now.
+    fn add(&mut self, scan: &MatchingResult<S>) -> Option<FoundPlace>;
     /// Where scans were found, as well as a match to the map tells it, and without a doubt soon after.
     fn found(&self) -> Vec<FoundPlace>;
     /// Where the submaps of the known map lay when it was loaded.
@@ -45,24 +45,26 @@ pub fn place_tracker_in_space(
 struct Tracker<M: KnownMap> {
     finder: Finder<M>,
     estimates: Vec<Estimate>,
-    placements: Vec<(Time, Rigid3)>,
+    placements: Vec<FoundPlace>,
     submaps: BTreeMap<SubmapId, Rigid3>,
 }
 
 impl<M: KnownMap> PlaceTracker<M::Space> for Tracker<M> {
-    fn add(&mut self, scan: &MatchingResult<M::Space>) {
+    fn add(&mut self, scan: &MatchingResult<M::Space>) -> Option<FoundPlace> {
         let estimate = self.finder.add(&LocalScan::of(scan));
-        if let Placement::Found(map_from_tracking) = estimate.placement(M::CERTAIN_PLACE) {
-            self.placements.push((scan.time, map_from_tracking));
-        }
+        let found = match estimate.placement(M::CERTAIN_PLACE) {
+            Placement::Found(map_from_tracking) => Some(FoundPlace { time: scan.time, map_from_tracking }),
+            _ => None,
+        };
+        self.placements.extend(found);
         self.estimates.push(estimate);
+        found
     }
 
     fn found(&self) -> Vec<FoundPlace> {
         let spans = trusted_spans(&self.estimates);
         let is_trusted = |time: &Time| spans.iter().any(|(first, last)| (first..=last).contains(&time));
-        let trusted = self.placements.iter().filter(|(time, _)| is_trusted(time));
-        trusted.map(|(time, pose)| FoundPlace { time: *time, map_from_tracking: *pose }).collect()
+        self.placements.iter().filter(|place| is_trusted(&place.time)).copied().collect()
     }
 
     fn known_submaps(&self) -> &BTreeMap<SubmapId, Rigid3> {

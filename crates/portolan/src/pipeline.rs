@@ -21,7 +21,7 @@ use portolan_reprojection::KeptScans;
 use portolan_sensor::SensorId;
 
 use crate::automatic;
-use crate::known_places::KnownMapSpace;
+use crate::known_places::{KnownMapSpace, KnownPlaces};
 use crate::silence::Silences;
 use crate::soundness::sound_poses;
 use crate::unusable_scans::{ScanTally, UnusableScans};
@@ -384,10 +384,11 @@ pub fn map_recording<S: KnownMapSpace>(
     let Preparation { inventory, plan, options, keep_scans_in, spool_in, memory, .. } = preparation;
     let mut ingestion = Ingestion::with_plan(recording, &inventory, plan.clone(), ingest)?;
     let initial_pose = inventory.first_time.and_then(|time| known.initial_pose(time));
-    let mut tracker = S::place_tracker(known.graph.state(), known.start, &options, settings.threads);
+    let mut places = KnownPlaces::new(&known, &options, settings.threads);
     let (known_issues, frame) = (known.issues, known.frame);
     let mut mapper = Mapper::<S>::with_graph(&options, settings, known.graph, known.trajectories)?;
     mapper.remember_with(&memory)?;
+    places.begin(&mut mapper)?;
     spool_in.map_or(Ok(()), |folder| mapper.spool_in(&folder))?;
     let sensors: BTreeSet<SensorId> = ingestion.sensors().into_iter().collect();
     let trajectory_id = mapper.add_trajectory(&sensors, initial_pose)?;
@@ -395,14 +396,12 @@ pub fn map_recording<S: KnownMapSpace>(
     let mut tally = ScanTally::default();
     let mut kept_scans = keep_scans_in.as_deref().map_or_else(KeptScans::default, KeptScans::in_folder);
     let (mut scans, mut interrupted) = (0, false);
-    let mut take = |matched: Vec<MatchingResult<S>>| {
-        for scan in &matched {
+    let mut take = |matched: &[MatchingResult<S>], mapper: &mut Mapper<S>| {
+        for scan in matched {
             kept_scans.keep(scan.time, &scan.local_from_tracking, &scan.measured);
-            if let Some(tracker) = &mut tracker {
-                tracker.add(scan);
-            }
         }
         scans += matched.len() as u64;
+        places.add(matched, mapper)
     };
     let mut span: Option<(Time, Time)> = None;
     let mut latest = None;
@@ -413,7 +412,8 @@ pub fn map_recording<S: KnownMapSpace>(
         *last = time.max(*last);
         let recording_seconds = last.seconds_since(*first);
         silences.add(&sensor_id, time);
-        take(mapper.add(trajectory_id, &sensor_id, measurement)?);
+        let matched = mapper.add(trajectory_id, &sensor_id, measurement)?;
+        take(&matched, &mut mapper)?;
         let (position_bytes, total_bytes) = ingestion.progress();
         let backend = mapper.progress();
         let progress = PipelineProgress { position_bytes, total_bytes, recording_seconds, backend };
@@ -424,12 +424,10 @@ pub fn map_recording<S: KnownMapSpace>(
             break;
         }
     }
-    take(mapper.finish_trajectory(trajectory_id)?);
+    let matched = mapper.finish_trajectory(trajectory_id)?;
+    take(&matched, &mut mapper)?;
     kept_scans.finish();
-    if let Some(tracker) = tracker {
-        let (known, found) = (tracker.known_submaps().clone(), tracker.found());
-        mapper.with_pose_graph(move |graph| graph.tie_found(&known, &found))?;
-    }
+    places.finish(&mut mapper)?;
     let scan_times = mapper.scan_times().clone();
     let degenerate_intervals = mapper.degenerate_intervals().to_vec();
     let losses = mapper.losses().to_vec();

@@ -63,7 +63,7 @@ impl<M: KnownMap> Localizer<M> {
         Ok(Self {
             collation,
             local_slam: M::Space::new_local_slam(options, &ranges)?,
-            finder: Finder::new(searcher, start),
+            finder: Finder::new(searcher, start).counting_changes(),
             track: settings.keeps_track.then(LocalTrack::default),
             sweeps: Vec::new(),
         })

@@ -217,6 +217,17 @@ impl<S: Space> Mapper<S> {
         self.backend.call(work)
     }
 
+    /// As [`Self::with_pose_graph`], without waiting.
+    ///
+    /// # Errors
+    /// If the pose graph has stopped because of an internal fault.
+    pub fn tell_pose_graph(
+        &mut self,
+        work: impl FnOnce(&mut PoseGraph<S>) + Send + 'static,
+    ) -> Result<(), MapperError> {
+        self.backend.enqueue(work)
+    }
+
     /// What was dropped or repaired in ended trajectories and in ordering the sensors.
     pub fn issues(&self) -> IssueLog {
         (S::mapper_work().issues)(self)

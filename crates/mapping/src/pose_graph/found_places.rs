@@ -7,6 +7,7 @@ use portolan_geometry::{Rigid3, Time};
 use super::PoseGraph;
 use super::extension::{NearestSubmaps, TIE_SPACING};
 use super::insertion::step_length;
+use super::places::{AROUND_PROPOSAL, Steps};
 use crate::{NodeId, Space, SubmapId, TrajectoryId};
 
 /// Where the tracking frame was in a known map when a scan was taken.
@@ -18,6 +19,22 @@ pub struct FoundPlace {
     pub map_from_tracking: Rigid3,
 }
 
+/// Known submaps in which something else than the pose graph finds nodes while they come.
+#[derive(Default)]
+pub(super) struct Tracked {
+    /// Where they lay when it began.
+    known: BTreeMap<SubmapId, Rigid3>,
+    /// How far along its trajectory the last node was that was looked for where it was found.
+    last: Steps,
+}
+
+impl Tracked {
+    /// The trajectories of the known submaps.
+    pub fn trajectories(&self) -> BTreeSet<TrajectoryId> {
+        self.known.keys().map(|id| id.trajectory_id).collect()
+    }
+}
+
 /// A node found in a known submap.
 struct Tie {
     node_id: NodeId,
@@ -26,10 +43,36 @@ struct Tie {
 }
 
 impl<S: Space> PoseGraph<S> {
-    /// Ties nodes that were found in known submaps, which lay at these poses then, to the nearest of them, one in half a metre of
-    /// way. A part of the map that nothing ties to the known ones yet is put there. How many ties there are.
-    pub fn tie_found(&mut self, known: &BTreeMap<SubmapId, Rigid3>, places: &[FoundPlace]) -> usize {
-        let ties = self.ties_of(known, places);
+    /// While nodes come, something else finds them in these submaps, which lie at these poses, and tells where
+    /// ([`Self::look_where_found`], [`Self::tie_found`]). The whole map is searched only at the end, for what has no place then.
+    pub fn leave_to_tracker(&mut self, known: BTreeMap<SubmapId, Rigid3>) {
+        self.tracked = Tracked { known, last: Steps::default() };
+    }
+
+    /// Schedules the search for a node around where it was found in the known submaps, unless its part of the map is tied to them: the
+    /// matcher of submaps judges the place as if the pose graph had found it.
+    pub fn look_where_found(&mut self, place: &FoundPlace) {
+        let newest_first = self.state.nodes.iter().rev();
+        let mut not_older = newest_first.take_while(|(_, node)| node.data.time >= place.time);
+        let Some((node_id, _)) = not_older.find(|(_, node)| node.data.time == place.time) else { return };
+        let (node_id, part) = (*node_id, node_id.trajectory_id);
+        let known = self.tracked.trajectories();
+        let is_tied = known.iter().any(|id| self.state.connectivity.are_connected(part, *id));
+        let way = self.ways.get(&node_id).copied().unwrap_or(0.0);
+        let spacing = self.spacing_of_searches();
+        if is_tied || !self.tracked.last.is_due(part, way, spacing) {
+            return;
+        }
+        let Some(tie) = self.tie_of(node_id, place, &self.nearest_known()) else { return };
+        if let Some((submap, node)) = self.state.pair(tie.submap_id, node_id) {
+            self.search.add_proposed(submap, node, tie.submap_from_node, AROUND_PROPOSAL);
+        }
+    }
+
+    /// Ties nodes that were found in the known submaps ([`Self::leave_to_tracker`]) to the nearest of them, one in half a metre of way.
+    /// A part of the map that nothing ties to the known ones yet is put there. How many ties there are.
+    pub fn tie_found(&mut self, places: &[FoundPlace]) -> usize {
+        let ties = self.ties_of(places);
         for tie in &ties {
             self.put_where_found(tie);
             let constraint = self.loop_closure(tie.submap_id, tie.node_id, tie.submap_from_node);
@@ -38,31 +81,36 @@ impl<S: Space> PoseGraph<S> {
         ties.len()
     }
 
-    fn ties_of(&self, known: &BTreeMap<SubmapId, Rigid3>, places: &[FoundPlace]) -> Vec<Tie> {
-        let trajectories: BTreeSet<TrajectoryId> = known.keys().map(|id| id.trajectory_id).collect();
+    fn ties_of(&self, places: &[FoundPlace]) -> Vec<Tie> {
+        let trajectories = self.tracked.trajectories();
         let new = self.state.nodes.iter().filter(|(id, _)| !trajectories.contains(&id.trajectory_id));
         let by_time: BTreeMap<Time, NodeId> = new.map(|(id, node)| (node.data.time, *id)).collect();
-        let nearest = NearestSubmaps::new(self, &known.keys().copied().collect());
+        let nearest = self.nearest_known();
         let mut ties = Vec::new();
         let mut last: Option<Rigid3> = None;
-        for FoundPlace { time, map_from_tracking } in places {
-            let step = last.map(|last| step_length(&(last.inverse() * map_from_tracking)));
-            let Some(node_id) = by_time.get(time).filter(|_| step.is_none_or(|step| step >= TIE_SPACING))
-            else {
-                continue;
-            };
-            let found = nearest.find(map_from_tracking);
-            let (Some(node), Some((submap_id, map_from_submap))) =
-                (self.state.nodes.get(node_id), found.and_then(|id| Some((id, known.get(&id)?))))
-            else {
-                continue;
-            };
-            let map_from_node = S::graph_pose(map_from_tracking, &node.data.gravity_alignment);
-            let submap_from_node = map_from_submap.inverse() * map_from_node;
-            ties.push(Tie { node_id: *node_id, submap_id, submap_from_node });
-            last = Some(*map_from_tracking);
+        for place in places {
+            let step = last.map(|last| step_length(&(last.inverse() * place.map_from_tracking)));
+            let is_due = step.is_none_or(|step| step >= TIE_SPACING);
+            let node_id = by_time.get(&place.time).filter(|_| is_due);
+            if let Some(tie) = node_id.and_then(|id| self.tie_of(*id, place, &nearest)) {
+                ties.push(tie);
+                last = Some(place.map_from_tracking);
+            }
         }
         ties
+    }
+
+    fn nearest_known(&self) -> NearestSubmaps {
+        NearestSubmaps::new(self, &self.tracked.known.keys().copied().collect())
+    }
+
+    /// What ties a node to the nearest known submap.
+    fn tie_of(&self, node_id: NodeId, place: &FoundPlace, nearest: &NearestSubmaps) -> Option<Tie> {
+        let submap_id = nearest.find(&place.map_from_tracking)?;
+        let map_from_submap = self.tracked.known.get(&submap_id)?;
+        let node = self.state.nodes.get(&node_id)?;
+        let map_from_node = S::graph_pose(&place.map_from_tracking, &node.data.gravity_alignment);
+        Some(Tie { node_id, submap_id, submap_from_node: map_from_submap.inverse() * map_from_node })
     }
 
     /// Moves the part of the map that a node belongs to, if it has no place in the known one yet.
@@ -90,7 +138,7 @@ mod tests {
 
     use super::*;
     use crate::made_rooms::{node, submap};
-    use crate::{InsertedNode, InsertionSubmap, NodeData, Planar, of_trajectory};
+    use crate::{InsertedNode, InsertionSubmap, NodeData, Planar, PoseGraphPolicy, of_trajectory};
 
     const ROOM: (f32, f32) = (9.0, 7.0);
 
@@ -102,27 +150,48 @@ mod tests {
         graph.add_node(id, InsertedNode::new(Arc::new(data), submaps));
     }
 
+    /// A known trajectory, and another one a hundred seconds later that nothing ties to it.
+    fn known_and_new() -> (PoseGraph<Planar>, [TrajectoryId; 2]) {
+        let mut options = Options::for_2d();
+        options.portolan.loop_search_drift = 0.02;
+        let mut graph = PoseGraph::<Planar>::new(options.map_builder.pose_graph.clone());
+        graph.set_policy(PoseGraphPolicy::new(&options.portolan));
+        let [known, new] = [TrajectoryId(0), TrajectoryId(1)];
+        graph.add_trajectory(known, None);
+        add(&mut graph, known, 1.0);
+        let submaps: BTreeMap<SubmapId, Rigid3> =
+            graph.problem.submaps.iter().map(|(id, p)| (*id, *p)).collect();
+        assert!(!submaps.is_empty());
+        graph.leave_to_tracker(submaps);
+        graph.add_trajectory(new, None);
+        add(&mut graph, new, 100.0);
+        (graph, [known, new])
+    }
+
+    #[test]
+    fn what_was_found_is_looked_for_there() {
+        let (mut graph, [known, new]) = known_and_new();
+        let map_from_tracking = Rigid3::translation(0.5, 0.2, 0.0);
+        let at = |seconds| FoundPlace { time: Time::from_unix_seconds(seconds), map_from_tracking };
+        graph.look_where_found(&at(50.0));
+        assert!(!graph.search.has_unplaced(), "no node was found");
+        graph.look_where_found(&at(100.0));
+        assert!(graph.search.has_unplaced());
+        graph.optimize();
+        assert!(graph.state.connectivity.are_connected(known, new));
+    }
+
     #[test]
     fn what_was_found_is_put_there_and_tied() {
-        let mut graph = PoseGraph::<Planar>::new(Options::for_2d().map_builder.pose_graph);
-        let [known, new] = [TrajectoryId(0), TrajectoryId(1)];
-        for (id, seconds) in [(known, 1.0), (new, 100.0)] {
-            graph.add_trajectory(id, None);
-            add(&mut graph, id, seconds);
-        }
-        let submaps: BTreeMap<SubmapId, Rigid3> = graph
-            .problem
-            .submaps
-            .iter()
-            .filter(|(id, _)| id.trajectory_id == known)
-            .map(|(id, p)| (*id, *p))
-            .collect();
-        assert!(!submaps.is_empty() && !graph.state.connectivity.are_connected(known, new));
+        let (mut graph, [known, new]) = known_and_new();
+        assert!(!graph.state.connectivity.are_connected(known, new));
         let map_from_tracking = Rigid3::translation(2.0, -1.0, 0.0);
         let at = |seconds| FoundPlace { time: Time::from_unix_seconds(seconds), map_from_tracking };
-        assert_eq!(graph.tie_found(&submaps, &[at(1.0), at(50.0)]), 0, "known nodes, and no nodes at all");
-        assert_eq!(graph.tie_found(&submaps, &[at(100.0), at(100.0)]), 1, "once in half a metre");
+        assert_eq!(graph.tie_found(&[at(1.0), at(50.0)]), 0, "known nodes, and no nodes at all");
+        assert_eq!(graph.tie_found(&[at(100.0), at(100.0)]), 1, "once in half a metre");
         assert!(graph.state.connectivity.are_connected(known, new));
+        graph.look_where_found(&at(100.0));
+        assert!(!graph.search.has_unplaced(), "what is tied is not looked for");
         let (_, placed) = of_trajectory(&graph.problem.nodes, new).next().unwrap();
         assert!(
             (placed.map_from_node.translation.vector - map_from_tracking.translation.vector).norm() < 1e-9

@@ -59,6 +59,7 @@ use summary_ties::SummaryTies;
 pub use trimmed_nodes::{TrimmedNode, TrimmedNodes};
 pub use trimming::Trimmer;
 
+use found_places::Tracked;
 use localisation::Localisation;
 use open_nodes::OpenNodes;
 use places::PlaceSearches;
@@ -87,6 +88,7 @@ pub struct PoseGraph<S: Space> {
     search: ConstraintSearch<S>,
     whole_submaps: Samplers<TrajectoryId>,
     places: PlaceSearches,
+    tracked: Tracked,
     usual_agreement: UsualAgreement,
     trimmers: Vec<Trimmer>,
     /// How many submaps were complete when covered ones were dropped.
@@ -130,6 +132,7 @@ impl<S: Space> PoseGraph<S> {
             search: ConstraintSearch::new(options.constraint_builder.clone(), stop.clone()),
             whole_submaps: Samplers::new(options.global_sampling_ratio),
             places: PlaceSearches::default(),
+            tracked: Tracked::default(),
             usual_agreement: UsualAgreement::default(),
             options,
             state: GraphState::default(),

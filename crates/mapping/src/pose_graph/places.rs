@@ -19,7 +19,7 @@ const SCAN_SPACING: f64 = 0.5;
 const SUBMAPS_A_PLACE: usize = 2;
 /// How far around a proposed place it is judged: half of a diagonal of its cells and headings, and as much as the submaps of
 /// a place disagree before the last optimisation.
-const AROUND_PROPOSAL: SearchWindow = SearchWindow { linear: 0.5, angular: 0.09 };
+pub(super) const AROUND_PROPOSAL: SearchWindow = SearchWindow { linear: 0.5, angular: 0.09 };
 
 /// Parts of the map are made ready again when they have grown by this fraction.
 const GROWTH: f64 = 0.1;
@@ -61,15 +61,30 @@ const LEAST_LOOKUPS: u64 = 1 << 24;
 pub(super) struct PlaceSearches {
     ready: Option<ReadyParts>,
     /// How far along its trajectory the last node was that was looked for, metres.
-    last: BTreeMap<TrajectoryId, f64>,
+    last: Steps,
     /// Look-ups that may still be spent; below zero, those that were spent in advance.
     saved: i64,
+}
+
+/// How far along each trajectory something was done last, metres.
+#[derive(Default)]
+pub(super) struct Steps(BTreeMap<TrajectoryId, f64>);
+
+impl Steps {
+    /// Whether it is to be done again, once in so many metres; if so it is noted.
+    pub fn is_due(&mut self, id: TrajectoryId, way: f64, spacing: f64) -> bool {
+        let is_due = self.0.get(&id).is_none_or(|last| way - last >= spacing);
+        if is_due {
+            self.0.insert(id, way);
+        }
+        is_due
+    }
 }
 
 impl PlaceSearches {
     /// The trajectories whose nodes were looked for.
     pub fn looked_for(&self) -> impl Iterator<Item = TrajectoryId> {
-        self.last.keys().copied()
+        self.last.0.keys().copied()
     }
 
     /// One more node came.
@@ -126,6 +141,11 @@ impl<S: Space> PoseGraph<S> {
         self.policy.loops.searches_whole_maps
     }
 
+    /// Nodes are looked for once in so many metres of way.
+    pub(super) fn spacing_of_searches(&self) -> f64 {
+        self.policy.loops.spacing.max(SCAN_SPACING)
+    }
+
     /// Schedules the search for a new node in the parts of the map that its trajectory is not connected with, once in so many
     /// metres of way as nodes are searched in a submap. Parts before and after a gap are looked for in each other around
     /// where odometry says that they lie, and everywhere only at the end.
@@ -138,12 +158,11 @@ impl<S: Space> PoseGraph<S> {
             return;
         }
         let way = self.ways.get(&node_id).copied().unwrap_or(0.0);
-        let last = self.places.last.entry(id).or_insert(way);
-        if way - *last < self.policy.loops.spacing.max(SCAN_SPACING) {
+        if !self.places.last.is_due(id, way, self.spacing_of_searches()) {
             return;
         }
-        *last = way;
-        let without = self.parts_beyond_gaps(id);
+        let mut without = self.parts_beyond_gaps(id);
+        without.extend(self.tracked.trajectories());
         if self.state.trajectories.keys().all(|id| without.contains(id)) {
             return;
         }
