@@ -20,7 +20,7 @@ use std::collections::VecDeque;
 
 use portolan_config::{AdaptiveVoxelFilterOptions, MotionFilterOptions};
 use portolan_geometry::{Duration, Rigid3, Time};
-use portolan_issue::{IssueKind, IssueLog};
+use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_lidar_odometry::SweepPoint;
 use portolan_motion::{DegenerateInterval, ExtrapolatorCounts, MotionFilter, PoseExtrapolator};
 use portolan_recall::Memory;
@@ -149,6 +149,14 @@ fn count_collated(counts: RangeDataCollatorCounts, issues: &mut IssueLog) {
 /// Adds what the extrapolator noticed and nobody else counts.
 fn count_extrapolated(counts: &ExtrapolatorCounts, issues: &mut IssueLog) {
     issues.count(IssueKind::OdometryJumped, counts.odometry_jumps);
+}
+
+/// Notes how many times as far as scans odometry goes, if it is corrected by that.
+fn note_corrected_odometry(factor: Option<f64>, issues: &mut IssueLog) {
+    if let Some(factor) = factor {
+        let issue = Issue::new(IssueKind::OdometryCorrected);
+        issues.add(issue.with_number("factor", format_args!("{factor:.2}")));
+    }
 }
 
 /// Gives odometry to the extrapolator. Before the first scan there is none; the newest two poses wait

@@ -17,7 +17,7 @@ use portolan_sensor::{
 use portolan_submaps::{Inserter3d, Submap3d};
 
 use super::{LocalSlam, MatchingResult, count_collated, count_extrapolated, first_point_time};
-use crate::{InsertionSubmap, LocalSlamError, Spatial};
+use crate::{InsertionSubmap, LocalSlamError, Spatial, note_corrected_odometry};
 
 mod deskew;
 mod grid_matcher;
@@ -235,10 +235,7 @@ impl LocalSlam<Spatial> for LocalSlam3d {
         let counts = match &self.engine {
             Engine::Planes(engine) => {
                 issues.append(engine.issues());
-                if let Some(factor) = engine.odometry_factor() {
-                    let issue = Issue::new(IssueKind::OdometryCorrected);
-                    issues.add(issue.with_number("factor", format_args!("{factor:.2}")));
-                }
+                note_corrected_odometry(engine.odometry_factor(), &mut issues);
                 engine.extrapolator_counts()
             }
             Engine::Grids(engine) => engine.extrapolator_counts(),

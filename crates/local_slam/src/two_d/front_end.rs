@@ -28,7 +28,7 @@ use super::start::{NEAR, Role, Velocity};
 use super::tracking::Tracker;
 use crate::{
     ActiveSubmaps, GatheredVariance, InsertionSubmap, LocalSlamError, MOST_GATHERED_POINTS, MatchingResult,
-    Planar, count_extrapolated, first_point_time, motion_filter, take_odometry,
+    Planar, count_extrapolated, first_point_time, motion_filter, note_corrected_odometry, take_odometry,
 };
 
 /// An odometry source that reported nothing for so long is not waited for.
@@ -259,6 +259,7 @@ impl FrontEnd {
         if let Some(extrapolator) = &self.extrapolator {
             count_extrapolated(&extrapolator.counts(), &mut issues);
         }
+        note_corrected_odometry(self.tracker.odometry_factor(), &mut issues);
         issues
     }
 

@@ -82,6 +82,12 @@ impl OdometryScale {
         Rigid2 { translation: way + turned, ..*measured }
     }
 
+    /// How many times as far as scans odometry goes; none where that is not corrected.
+    pub fn factor(&self) -> Option<f64> {
+        let correction = self.along.correction();
+        (correction != 0.0).then(|| 1.0 / (1.0 + correction))
+    }
+
     /// Takes what the motion was by matching, with the standard deviation that predictions of it have along each axis,
     /// metres.
     pub fn add(&mut self, measured: &Rigid2, moved: &Rigid2, sigma: f64) {

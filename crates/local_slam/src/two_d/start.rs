@@ -307,7 +307,8 @@ impl Start {
             }
             *likely += ODOMETRY_WORKS;
         }
-        for proposed in self.proposed() {
+        let standing = has_odometry.then_some(still);
+        for proposed in standing.into_iter().chain(self.proposed()) {
             let other = self.judged(proposed, &best, false);
             // Beams say whether a pose is right rather than wrong: a motion that they speak against is none.
             if other.len() >= best.len() && other.last() > best.last() && other.last() > Some(&0.0) {
@@ -321,7 +322,7 @@ impl Start {
         motion
     }
 
-    /// The motions that the first two scans may show.
+    /// The motions that the first two scans may show, beside standing.
     fn proposed(&self) -> Vec<Velocity> {
         let found = |role: &Role| matches!(role, Role::Proposing(found) if !found.is_empty());
         match self.followed(Velocity::default(), Role::Proposing(Vec::new()), found, false) {
@@ -413,8 +414,8 @@ mod tests {
     }
 
     /// How far a scanner is said to have gone in 2 s at this speed, m/s, and how many of its 21 scans were found; with wheels that
-    /// stand or without any.
-    fn followed(speed: f64, has_wheels: bool) -> (f64, usize) {
+    /// claim another speed or without any.
+    fn followed(speed: f64, claimed: Option<f64>) -> (f64, usize) {
         let mut options = Options::for_2d().trajectory_builder.trajectory_builder_2d;
         options.use_online_correlative_scan_matching = true;
         options.use_imu_data = false;
@@ -426,8 +427,8 @@ mod tests {
         for i in 0..21 {
             let seconds = 0.1 * f64::from(i);
             let time = Time::from_ticks(0) + Duration::from_seconds(seconds);
-            if has_wheels {
-                let odom_from_tracking = portolan_geometry::Rigid3::identity();
+            if let Some(claimed) = claimed {
+                let odom_from_tracking = portolan_geometry::Rigid3::translation(claimed * seconds, 0.0, 0.0);
                 found.extend(slam.add_odometry_data(&OdometryData { time, odom_from_tracking }));
             }
             found.extend(slam.add_range_data(&scanner, scan(time, speed * seconds)));
@@ -440,7 +441,7 @@ mod tests {
     #[test]
     fn a_vehicle_is_at_speed_and_a_robot_stands_or_goes() {
         for speed in [0.0, 0.5, 2.0, 5.0, 12.0, 24.0] {
-            let (way, scans) = followed(speed, false);
+            let (way, scans) = followed(speed, None);
             // At 2 m/s the second scan, of which the map of one scan explains nothing, is found 0.1 m short.
             assert!((way - 2.0 * speed).abs() < 0.13 && scans == 21, "{speed} m/s: {way} m, {scans} scans");
         }
@@ -449,8 +450,16 @@ mod tests {
     #[test]
     fn wheels_that_stand_at_speed_are_not_believed() {
         for speed in [0.0, 5.0, 12.0, 24.0] {
-            let (way, scans) = followed(speed, true);
+            let (way, scans) = followed(speed, Some(0.0));
             assert!((way - 2.0 * speed).abs() < 0.1 && scans == 21, "{speed} m/s: {way} m, {scans} scans");
+        }
+    }
+
+    #[test]
+    fn wheels_that_spin_while_standing_are_not_believed() {
+        for claimed in [2.0, 4.0, 12.0] {
+            let (way, scans) = followed(0.0, Some(claimed));
+            assert!(way < 0.1 && scans == 21, "{claimed} m/s: {way} m, {scans} scans");
         }
     }
 

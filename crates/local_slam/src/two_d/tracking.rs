@@ -60,6 +60,8 @@ pub(super) struct Found {
     pub pose: Rigid2,
     /// It was found far from its prediction.
     pub is_far: bool,
+    /// Odometry measured the motion, and it was not used.
+    pub overrules_odometry: bool,
     /// The scan, or odometry, told where it is in the plane; nothing was taken for granted.
     pub tells_place: bool,
     /// What the prediction decided of the pose.
@@ -254,7 +256,15 @@ impl Tracker {
         }
         if !found.pose.is_finite() {
             let left_open = LeftOpen::Everything;
-            return Found { pose: prediction, is_far: false, tells_place: false, left_open, agreement: None };
+            let overrules_odometry = false;
+            return Found {
+                pose: prediction,
+                is_far: false,
+                overrules_odometry,
+                tells_place: false,
+                left_open,
+                agreement: None,
+            };
         }
         // 3. Weigh it with the prediction.
         let is_open = weak.is_some() || scan.witnesses.are_few();
@@ -285,7 +295,13 @@ impl Tracker {
         if let Some(agreement) = &agreement {
             self.beam_evidence.add(agreement);
         }
-        Found { pose, is_far, tells_place: !is_open || motion.is_measured(), left_open, agreement }
+        let tells_place = !is_open || motion.is_measured();
+        Found { pose, is_far, overrules_odometry: is_failing, tells_place, left_open, agreement }
+    }
+
+    /// How many times as far as scans odometry goes, if it is corrected by that.
+    pub fn odometry_factor(&self) -> Option<f64> {
+        self.odometry_scale.factor()
     }
 
     /// Where the scan is if odometry, which tells this, rather fails than works.

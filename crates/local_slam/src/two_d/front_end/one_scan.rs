@@ -190,6 +190,9 @@ impl FrontEnd {
             if found.is_far {
                 self.count(IssueKind::ScanFarFromPrediction, time);
             }
+            if found.overrules_odometry {
+                self.count(IssueKind::OdometryOverruled, time);
+            }
             return found;
         }
         let unseen = motion.filter(|motion| !motion.is_rotation_measured());
@@ -198,7 +201,14 @@ impl FrontEnd {
         let submap = self.active_submaps.matching_submap();
         let scan = submap.map(|submap| Scan::new(cloud, returns, submap));
         let pose = self.tracker.match_scan(prediction, scan, cloud);
-        Found { pose, is_far: false, tells_place: true, left_open: LeftOpen::Nothing, agreement: None }
+        Found {
+            pose,
+            is_far: false,
+            overrules_odometry: false,
+            tells_place: true,
+            left_open: LeftOpen::Nothing,
+            agreement: None,
+        }
     }
 
     /// Where the scan fits when time has passed with nothing measured: the old velocity tells nothing then.
