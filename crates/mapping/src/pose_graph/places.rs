@@ -71,6 +71,11 @@ pub(super) struct PlaceSearches {
 pub(super) struct Steps(BTreeMap<TrajectoryId, f64>);
 
 impl Steps {
+    /// The way begins here, where nothing is done yet.
+    fn begin(&mut self, id: TrajectoryId, way: f64) {
+        self.0.entry(id).or_insert(way);
+    }
+
     /// Whether it is to be done again, once in so many metres; if so it is noted.
     pub fn is_due(&mut self, id: TrajectoryId, way: f64, spacing: f64) -> bool {
         let is_due = self.0.get(&id).is_none_or(|last| way - last >= spacing);
@@ -158,6 +163,7 @@ impl<S: Space> PoseGraph<S> {
             return;
         }
         let way = self.ways.get(&node_id).copied().unwrap_or(0.0);
+        self.places.last.begin(id, way);
         if !self.places.last.is_due(id, way, self.spacing_of_searches()) {
             return;
         }
