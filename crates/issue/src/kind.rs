@@ -166,7 +166,7 @@ kinds! {
     // Messages of sensors.
     OtherMessageType Error "messages of another type than before were left out"
     ScanNotSubdivided Info "scans whose points all have the same time were not subdivided"
-    NoDistance Info "messages without a single valid range were skipped"
+    NoDistance Info "messages without a single valid range were not matched"
     CloudWithoutCoordinates Error "clouds without fields x, y and z were left out"
     CloudFieldOutside Error "clouds with fields beyond the end of a point were left out"
     PointTimesInDoubt Error "the times of points do not fit the motion of the lidar, and it is not clear which would: the map may be bent (--point-times says what they are)"

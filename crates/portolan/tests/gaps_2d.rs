@@ -45,6 +45,9 @@ fn mapped(seconds: f64, scans: Scans, stalls: bool, folder: &Path) -> (serde_jso
         (Time::from_unix_seconds(n[0]), Rigid3::from_parts(Vector3::new(n[1], n[2], n[3]).into(), rotation))
     });
     let poses: Vec<_> = poses.collect();
+    let steps = poses.windows(2).map(|pair| pair[1].0.seconds_since(pair[0].0));
+    let longest_step = steps.fold(0.0, f64::max);
+    assert!((scans == Scans::LeftOut) == (longest_step > 1.0), "{longest_step} s without a pose");
     let world_from_map = drive.truth_at(poses[0].0).unwrap() * poses[0].1.inverse();
     let error = |(time, pose): &(Time, Rigid3)| {
         let truth = drive.truth_at(*time)?;
@@ -77,6 +80,18 @@ fn scans_of_a_covered_scanner_lie_where_odometry_says_and_are_not_in_the_map() {
     let count = occluded["count"].as_u64().unwrap();
     let scans = report["scans"].as_u64().unwrap();
     assert!(count * 60 > scans * 7 && count * 60 < scans * 9, "{count} of {scans}");
+    assert!(lost.iter().all(|lost| lost["is_connected"] == true), "{lost:?}");
+    assert!(error < 0.12, "{error}");
+}
+
+#[test]
+fn scans_without_a_return_lie_where_odometry_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let (report, error) = mapped(60.0, Scans::Blind, false, folder.path());
+    let issues = report["issues"].as_array().unwrap();
+    let blind = issues.iter().find(|issue| issue["kind"] == "no_distance").unwrap();
+    let lost = report["lost"].as_array().unwrap();
+    println!("{blind} {lost:?} {error}");
     assert!(lost.iter().all(|lost| lost["is_connected"] == true), "{lost:?}");
     assert!(error < 0.12, "{error}");
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use portolan_geometry::{Duration, Quaternion, Time};
+use portolan_geometry::{Dimension, Duration, Quaternion, Time};
 use portolan_issue::IssueKind;
 use portolan_recording::{
     Imu, LandmarkList, Message, NavSatFix, Odometry, PointCloud2, PoseStamped, RecordedMessage, TfMessage,
@@ -14,7 +14,7 @@ use crate::azimuth_time::{self, TimedTurn};
 use crate::clock::Stamp;
 use crate::convert::{self, Frames, ImuFault};
 use crate::laser::{ScanCorrections, ScanFaults, points_of_echoes, points_of_laser_scan};
-use crate::plan::{ImuScale, PlannedSensor};
+use crate::plan::{ImuScale, PlannedSensor, SensorPlan};
 use crate::point_cloud2::{CloudFaults, CloudLayout};
 use crate::point_time::PointTime;
 use crate::timed_points::TimedPoints;
@@ -126,10 +126,18 @@ impl Ingestion {
         }
     }
 
+    /// Whether a scan without a single return is of use: odometry tells where the only planar scanner was then.
+    fn tells_poses_of_blind_scans(&self) -> bool {
+        let SensorPlan { dimension, range, odometry, .. } = &self.plan;
+        *dimension == Dimension::Two && range.len() == 1 && self.subdivisions == 1 && odometry.is_some()
+    }
+
     fn give_points(&mut self, sensor: &mut Sensor, points: TimedPoints, frame: &str) {
         if points.points.is_empty() {
             self.count(&sensor.topic, points.time, IssueKind::NoDistance, 1);
-            return;
+            if !self.tells_poses_of_blind_scans() {
+                return;
+            }
         }
         let time = points.time;
         let Some(pose) = self.tracking_from(&sensor.topic, frame, time) else { return };

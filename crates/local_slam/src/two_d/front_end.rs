@@ -177,6 +177,10 @@ impl FrontEnd {
             self.count(IssueKind::ScanOverlapsLast, ranges.time);
             return None;
         }
+        if ranges.points.is_empty() {
+            let gravity = extrapolator.estimate_gravity_orientation(ranges.time);
+            return self.carried_blind(ranges.time, gravity);
+        }
         let last_pose = deskew_into(
             ranges,
             |time| extrapolator.extrapolate_pose(time),

@@ -115,7 +115,8 @@ impl LocalSlam<Planar> for LocalSlam2d {
         data: TimedPointCloudData,
     ) -> Vec<MatchingResult<Planar>> {
         let Some(ranges) = self.collator.add(&sensor_id.id, data) else { return Vec::new() };
-        if ranges.points.is_empty() {
+        // While it is watched how the scanner moves, scans have to tell it.
+        if ranges.points.is_empty() && (self.start.is_open() || !self.front_end.is_adaptive()) {
             self.issues.add(Issue::new(IssueKind::ScanWithoutPoints).at(ranges.time));
             return Vec::new();
         }

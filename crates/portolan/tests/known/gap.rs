@@ -10,9 +10,11 @@ pub enum Scans {
     LeftOut,
     /// Something covers the scanner, 0.1 to 0.3 m away.
     Covered,
+    /// No beam returns.
+    Blind,
 }
 
-/// Leaves out or covers scans between two times, while the wheels stall if that is wanted.
+/// Leaves out, covers or blinds scans between two times, while the wheels stall if that is wanted.
 pub struct Gap {
     pub inner: Box<dyn RecordingWriter>,
     pub between: [Time; 2],
@@ -34,6 +36,9 @@ impl RecordingWriter for Gap {
         let [begun, ended] = self.between.map(is_after);
         match (&mut message.message, &mut self.stalled) {
             (Message::LaserScan(_), _) if begun && !ended && self.scans == Scans::LeftOut => return Ok(()),
+            (Message::LaserScan(scan), _) if begun && !ended && self.scans == Scans::Blind => {
+                scan.ranges.fill(f32::INFINITY);
+            }
             (Message::LaserScan(scan), _) if begun && !ended => {
                 // No two scans are covered alike.
                 let seed = scan.ranges.first().map_or(0.0, |range| f64::from(*range)) * 1e4;

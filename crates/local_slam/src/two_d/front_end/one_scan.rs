@@ -151,6 +151,17 @@ impl FrontEnd {
         (view, clear.map(|returns| RangeData { origin: *origin, returns, misses: misses.clone() }))
     }
 
+    /// The pose of a scan without a single return, where odometry tells it.
+    pub(super) fn carried_blind(
+        &mut self,
+        time: Time,
+        gravity: Quaternion,
+    ) -> Option<MatchingResult<Planar>> {
+        let nothing = RangeData::default();
+        let expected = self.expected(time, &nothing, &gravity)?;
+        self.carried_by_odometry(time, &expected, gravity)
+    }
+
     /// The pose of a scan that sees nothing of the place, where odometry tells it. It is not inserted, and the next scan is
     /// looked for from the last one that saw something.
     fn carried_by_odometry(
