@@ -130,7 +130,7 @@ impl From<JobError> for CliError {
             JobError::Pipeline(error) => error.into(),
             JobError::File { path, source } => Self::File { path, source },
             JobError::Setting(_) | JobError::Options(_) => Self::Usage(error.to_string()),
-            JobError::PlanesInThePlane => {
+            JobError::PlaneEngineIn2d => {
                 Self::Usage("--engine planes is for 3D; 2D scans are matched to grids".to_owned())
             }
             JobError::AmbiguousFrozen => Self::Usage(

@@ -54,7 +54,7 @@ pub fn sentence(found: &Localisation) -> String {
     let closures = counted(found.loop_closures as u64, "loop closure", "loop closures");
     let fits = format!("scans fit it at {confirmed} of {places} places that it knows");
     match found.place() {
-        Place::Found => match found.error_of_told_start {
+        Place::Found => match found.error_of_given_start {
             Some((metres, radians)) => format!(
                 "found in the known map {metres:.1} m and {:.0} deg from where --start says, which scans do not fit: {closures} with it, \
                  {fits}",
@@ -70,10 +70,10 @@ pub fn sentence(found: &Localisation) -> String {
             "perhaps NOT where it belongs in the known map: {fits}. Either much has changed there, or the place is another one that \
              looks alike; look at map.png"
         ),
-        Place::Told => "nothing confirms where --start says that the recording lies: it went where the known map does not reach, by \
+        Place::GivenAsStart => "nothing confirms where --start says that the recording lies: it went where the known map does not reach, by \
                         its own odometry"
             .to_owned(),
-        Place::Refuted if found.start_was_told => format!(
+        Place::Refuted if found.start_was_given => format!(
             "NOT found in the known map: where --start says, {fits}, and nowhere else do they fit better. If you know the \
              place, say it better [write the map all the same: --force]"
         ),

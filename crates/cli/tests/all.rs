@@ -12,6 +12,7 @@ mod degenerate;
 mod documents;
 mod evaluate;
 mod far;
+mod faults_3d;
 mod fingerprints;
 mod foreign_files;
 mod hostile;
@@ -21,9 +22,8 @@ mod maps;
 mod pipes;
 mod real_recordings;
 mod resume;
+mod sensors_3d;
 mod simulate;
-mod space_faults;
-mod space_sensors;
 mod untrusted;
 mod words;
 

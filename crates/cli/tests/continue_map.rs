@@ -128,7 +128,7 @@ fn a_recording_is_found_in_a_frozen_map_that_stays_as_it_was() {
 }
 
 #[test]
-fn a_map_in_space_goes_on_on_its_surfaces() {
+fn a_map_in_3d_goes_on_on_its_surfaces() {
     if is_fast() {
         return;
     }
@@ -171,7 +171,7 @@ fn a_trajectory_outlives_the_submaps_that_localisation_trims() {
 }
 
 #[test]
-fn optimising_a_map_in_space_again_changes_it_little() {
+fn optimising_a_map_in_3d_again_changes_it_little() {
     if is_fast() {
         return;
     }
@@ -259,7 +259,7 @@ fn what_cannot_be_continued_is_an_error() {
     assert!(map(&["--from", &no_map], 1).stderr.contains("no.pbstream"));
     assert!(map(&["--from", &recording], 1).stderr.contains("walk.bag"));
     map(&["--frozen"], 2);
-    if let Some(spatial) = common::real("maps/reference/small_3d.pbstream") {
-        assert!(map(&["--from", &spatial], 1).stderr.contains("3D"));
+    if let Some(map_3d) = common::real("maps/reference/small_3d.pbstream") {
+        assert!(map(&["--from", &map_3d], 1).stderr.contains("3D"));
     }
 }

@@ -164,7 +164,7 @@ fn lidars_whose_sweeps_never_repeat_are_followed_without_an_imu() {
 }
 
 /// Maps a recording of a planar lidar: what `map` printed, and the report.
-fn planar(code: i32, recording: &str, more: &[&str]) -> (String, serde_json::Value) {
+fn map_2d(code: i32, recording: &str, more: &[&str]) -> (String, serde_json::Value) {
     let folder = tempfile::tempdir().unwrap();
     let map = ["map", recording, "-o", &text(folder.path()), "-q", "--no-xray"];
     let summary = portolan_with_code(code, &[&map, more].concat()).stdout;
@@ -207,10 +207,10 @@ fn along_a_bare_corridor_odometry_or_constant_velocity_is_used_and_its_error_is_
 #[test]
 fn where_a_guess_may_be_far_off_the_map_is_not_done() {
     let (recording, _) = simulated_once(&["corridors", "--seconds", "60", "--seed", "7"]);
-    let (_, measured) = planar(0, &recording, &[]);
+    let (_, measured) = map_2d(0, &recording, &[]);
     assert!(drift(&measured) < 0.3, "{measured}");
     // It is 14 m off.
-    let (summary, guessed) = planar(3, &recording, &["--no-odometry"]);
+    let (summary, guessed) = map_2d(3, &recording, &["--no-odometry"]);
     assert!(summary.contains("neither scans nor loop closures tell how they lie"), "{summary}");
     assert!(drift(&guessed) > 3.0, "{guessed}");
 }
@@ -219,7 +219,7 @@ fn where_a_guess_may_be_far_off_the_map_is_not_done() {
 fn a_room_leaves_nothing_open_with_odometry_or_without() {
     let (recording, _) = simulated_once(&["office", "--seconds", "40", "--seed", "5"]);
     for more in [&[][..], &["--no-odometry"]] {
-        let (_, report) = planar(0, &recording, more);
+        let (_, report) = map_2d(0, &recording, more);
         assert!(report["degenerate_intervals"].as_array().unwrap().is_empty(), "{report}");
     }
 }

@@ -9,7 +9,7 @@ use common::{PORTOLAN, portolan, portolan_with_code, simulated_once, text};
 
 /// Where maps are moved to, metres: whole cells of grids, so that what is drawn in them is the same.
 const FAR: [f64; 3] = [499_712.0, 5_400_576.0, 0.0];
-/// Heights of maps in space are moved, too, metres.
+/// Heights of 3D maps are moved, too, metres.
 const HIGHER: f64 = 256.0;
 /// As far as results differ, metres: single precision has steps of 0.06 mm a kilometre from the origin.
 const SAME: f64 = 1e-3;
@@ -36,7 +36,7 @@ impl Place {
         Self { folder: tempfile::tempdir().unwrap(), recording, near, far, shift }
     }
 
-    /// An office in the plane.
+    /// An office in 2D.
     fn office() -> Self {
         let arguments = ["office", "--seconds", "100", "--seed", "5", "--beams", "180"];
         Self::new(text(&PORTOLAN.simulated("bag", &arguments)), FAR, &["--duration", "70"])

@@ -203,7 +203,7 @@ fn demo_errors(folder: &Path, more: &[&str]) -> (Run, f64) {
 }
 
 #[test]
-fn the_demo_in_the_plane_is_accurate() {
+fn the_demo_in_2d_is_accurate() {
     if is_fast() {
         return;
     }

@@ -389,7 +389,7 @@ fn raw_clouds_of_a_car_are_recognised() {
 
 /// A simulated recording that is part of the data folder.
 #[test]
-fn a_spinning_lidar_is_mapped_in_space() {
+fn a_spinning_lidar_is_mapped_in_3d() {
     if is_fast() {
         return;
     }
@@ -408,7 +408,7 @@ fn a_spinning_lidar_is_mapped_in_space() {
 }
 
 #[test]
-fn maps_in_space_and_their_pictures_do_not_depend_on_threads() {
+fn maps_in_3d_and_their_pictures_do_not_depend_on_threads() {
     if is_fast() {
         return;
     }

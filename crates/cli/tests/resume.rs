@@ -79,7 +79,7 @@ fn a_map_that_is_resumed_is_the_same_however_damaged_the_journal_is() {
 }
 
 #[test]
-fn a_map_in_space_that_is_resumed_is_the_same() {
+fn a_map_in_3d_that_is_resumed_is_the_same() {
     let (recording, _) = simulated_once(&["garage", "--seconds", "25", "--seed", "5", "--beams", "450"]);
     for more in [&["--no-xray", "--threads", "2"][..], &["--no-xray", "--threads", "1", "--no-imu"]] {
         let (folder, _) = cut_off(&recording, more);

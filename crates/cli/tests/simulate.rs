@@ -87,7 +87,7 @@ fn faults_without_their_sensor_are_refused() {
 }
 
 #[test]
-fn worlds_in_space_have_surfaces_and_the_same_bytes_for_any_thread_count() {
+fn worlds_in_3d_have_surfaces_and_the_same_bytes_for_any_thread_count() {
     let folder = tempfile::tempdir().unwrap();
     let simulate = |name: &str, threads: &str| {
         let output = common::text(&folder.path().join(name));

@@ -26,8 +26,8 @@ impl MapBuilderOptions {
     /// If both are switched on, or none is.
     pub fn dimension(&self) -> Result<Dimension, ConfigError> {
         match (self.use_trajectory_builder_2d, self.use_trajectory_builder_3d) {
-            (true, false) => Ok(Dimension::Two),
-            (false, true) => Ok(Dimension::Three),
+            (true, false) => Ok(Dimension::TwoD),
+            (false, true) => Ok(Dimension::ThreeD),
             (two, _) => Err(ConfigError::Inconsistent {
                 paths: vec![
                     "map_builder.use_trajectory_builder_2d".to_owned(),
@@ -58,8 +58,8 @@ impl Options {
         let dimension = self.map_builder.dimension();
         let mut findings = bounds_findings(self, dimension.as_ref().ok().copied());
         match dimension {
-            Ok(Dimension::Two) => self.check_2d(&mut findings.errors),
-            Ok(Dimension::Three) => {
+            Ok(Dimension::TwoD) => self.check_2d(&mut findings.errors),
+            Ok(Dimension::ThreeD) => {
                 let local = &self.trajectory_builder.trajectory_builder_3d;
                 let table = "trajectory_builder.trajectory_builder_3d";
                 check_order(&mut findings.errors, table, "range", local.min_range, local.max_range);
@@ -174,8 +174,8 @@ fn is_used(path: &str, dimension: Dimension) -> bool {
     const MATCHERS_2D: [&str; 2] = ["fast_correlative_scan_matcher", "ceres_scan_matcher"];
     let in_constraints = path.contains(".constraint_builder.");
     !path.split('.').any(|segment| match dimension {
-        Dimension::Two => segment.ends_with("_3d") && segment != "use_trajectory_builder_3d",
-        Dimension::Three => {
+        Dimension::TwoD => segment.ends_with("_3d") && segment != "use_trajectory_builder_3d",
+        Dimension::ThreeD => {
             segment == "trajectory_builder_2d"
                 || segment == "overlapping_submaps_trimmer_2d"
                 || (in_constraints && MATCHERS_2D.contains(&segment))

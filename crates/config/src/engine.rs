@@ -40,7 +40,7 @@ impl PortolanOptions {
 impl Options {
     /// What scans are matched to.
     pub fn engine(&self) -> Engine {
-        let is_3d = self.map_builder.dimension() == Ok(Dimension::Three);
+        let is_3d = self.map_builder.dimension() == Ok(Dimension::ThreeD);
         if is_3d && self.portolan.match_surfaces { Engine::Planes } else { Engine::Grids }
     }
 
@@ -62,11 +62,11 @@ mod tests {
     #[test]
     fn there_is_one_engine_in_2d_and_a_choice_in_3d() {
         for engine in [Engine::Planes, Engine::Grids] {
-            let (mut planar, mut spatial) = (Options::for_2d(), Options::for_3d());
-            planar.set_engine(engine);
-            spatial.set_engine(engine);
-            assert_eq!(planar.engine(), Engine::Grids);
-            assert_eq!(spatial.engine(), engine);
+            let (mut in_2d, mut in_3d) = (Options::for_2d(), Options::for_3d());
+            in_2d.set_engine(engine);
+            in_3d.set_engine(engine);
+            assert_eq!(in_2d.engine(), Engine::Grids);
+            assert_eq!(in_3d.engine(), engine);
         }
     }
 

@@ -68,13 +68,13 @@ const WITHOUT_EFFECT_ON_SURFACES: &[(&str, &str)] = &[
 /// `options`.
 pub fn little_effect(path: &str, options: &Options, has_imu: bool) -> Option<&'static str> {
     let path = explain(path)?.path;
-    let in_space = options.map_builder.use_trajectory_builder_3d;
+    let in_3d = options.map_builder.use_trajectory_builder_3d;
     let problem = &options.map_builder.pose_graph.optimization_problem;
     let of_wheels = path.starts_with("map_builder.pose_graph.optimization_problem.odometry_");
-    if of_wheels && in_space && has_imu && !problem.fix_z_in_3d {
+    if of_wheels && in_3d && has_imu && !problem.fix_z_in_3d {
         return Some(NO_WHEELS_WITH_IMU);
     }
-    let is_on = in_space && options.portolan.match_surfaces;
+    let is_on = in_3d && options.portolan.match_surfaces;
     let meant = |entry: &&(&str, &str)| path.strip_prefix(entry.0).is_some_and(is_end_of_name);
     let on_surfaces = WITHOUT_EFFECT_ON_SURFACES.iter().find(meant).filter(|_| is_on);
     on_surfaces.map(|(_, reason)| *reason).or_else(|| without_effect(&path))

@@ -67,7 +67,7 @@ fn the_configuration_of_the_reference_tests_is_complete() {
         return { map_builder = MAP_BUILDER, trajectory_builder = TRAJECTORY_BUILDER, num_laser_scans = 1 }
     "#;
     let config = Options::from_lua("test.lua", text).unwrap();
-    assert_eq!(config.options.map_builder.dimension(), Ok(Dimension::Two));
+    assert_eq!(config.options.map_builder.dimension(), Ok(Dimension::TwoD));
     assert!(!config.options.trajectory_builder.trajectory_builder_2d.use_imu_data);
     let about_builders = |warning: &&_| {
         let text = format!("{warning}");
@@ -79,7 +79,7 @@ fn the_configuration_of_the_reference_tests_is_complete() {
 #[test]
 fn backpack_2d_and_its_relatives() {
     let options = load("backpack_2d").options;
-    assert_eq!(options.map_builder.dimension(), Ok(Dimension::Two));
+    assert_eq!(options.map_builder.dimension(), Ok(Dimension::TwoD));
     assert_eq!(options.trajectory_builder.trajectory_builder_2d.num_accumulated_range_data, 10);
     assert_eq!((options.bridge.num_multi_echo_laser_scans, options.bridge.num_laser_scans), (1, 0));
     assert_eq!(options.bridge.num_subdivisions_per_laser_scan, 10);
@@ -106,7 +106,7 @@ fn backpack_2d_and_its_relatives() {
 #[test]
 fn backpack_3d_and_taurob_tracker() {
     let options = load("backpack_3d").options;
-    assert_eq!(options.map_builder.dimension(), Ok(Dimension::Three));
+    assert_eq!(options.map_builder.dimension(), Ok(Dimension::ThreeD));
     assert_eq!(options.trajectory_builder.trajectory_builder_3d.num_accumulated_range_data, 160);
     let graph = &options.map_builder.pose_graph;
     assert_eq!((graph.optimize_every_n_nodes, graph.optimization_problem.huber_scale), (320, 5e2));
@@ -140,7 +140,7 @@ fn the_server_loads() {
     let config = Loader::default().load_server(Path::new("backpack_2d_server.lua")).unwrap();
     assert_eq!(config.warnings, []);
     assert!(config.options.map_builder.collate_by_trajectory);
-    assert_eq!(config.options.map_builder.dimension(), Ok(Dimension::Two));
+    assert_eq!(config.options.map_builder.dimension(), Ok(Dimension::TwoD));
     assert_eq!(config.options.server_address, "0.0.0.0:50051");
     assert_eq!(config.options.validate(), Ok(()));
 }

@@ -295,7 +295,7 @@ impl<'a> Check<'a> {
 impl Check<'_> {
     /// Scans against each other, and ways of odometry against theirs. Where it turns otherwise, the comparison of turns tells it.
     fn compare_scans(&mut self, recording: &dyn Recording, plan: &SensorPlan) -> Result<(), RecordingError> {
-        if plan.dimension != Dimension::Two {
+        if plan.dimension != Dimension::TwoD {
             return Ok(());
         }
         let compared = compare_scans(recording, self.inventory, plan)?;
@@ -437,7 +437,7 @@ fn span_of(points: &TimedPoints) -> Option<(Time, Time)> {
 fn mounting(inventory: &Inventory, topic: &str, plan: Option<&SensorPlan>) -> Option<Rigid3> {
     let frame = inventory.topic(topic)?.frame.as_deref()?;
     let scanners = plan.iter().flat_map(|p| &p.range).map(|range| &*range.source.frame);
-    let dimension = plan.map_or(Dimension::Three, |p| p.dimension);
+    let dimension = plan.map_or(Dimension::ThreeD, |p| p.dimension);
     let upright = upright_frame(&inventory.tree, frame, scanners, dimension)?;
     inventory.tree.lookup_static(upright, frame)
 }

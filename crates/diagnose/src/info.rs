@@ -255,7 +255,7 @@ impl RecordingInfo {
             let _ = writeln!(text, "mapping:  not possible: {obstacle}");
         }
         let Some(plan) = &self.plan else { return };
-        let dimension = if plan.dimension == Dimension::Two { "in 2D" } else { "in 3D" };
+        let dimension = if plan.dimension == Dimension::TwoD { "in 2D" } else { "in 3D" };
         let _ = write!(text, "mapping:  {dimension} with {}", plan.range.join(", "));
         for (label, topic) in [("odometry", &plan.odometry), ("IMU", &plan.imu)] {
             if let Some(topic) = topic {

@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn in_the_plane_heights_are_not_compared() {
+    fn in_2d_heights_are_not_compared() {
         let expected = Rigid3::new(Vector3::new(1.0, 2.0, 0.0), Vector3::z() * 3.0);
         let positions = [[0.0, 0.0, 5.0], [1.0, 0.0, -5.0], [1.0, 2.0, 8.0]];
         let found = align(&pairs(&positions, &expected), Alignment::Se2).unwrap();

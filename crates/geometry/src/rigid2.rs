@@ -7,7 +7,7 @@ use nalgebra as na;
 
 use crate::Vector2;
 
-/// A planar pose. The angle is stored as it comes (not wrapped), so that optimisation can pass ±π.
+/// A 2D pose. The angle is stored as it comes (not wrapped), so that optimisation can pass ±π.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rigid2 {
     /// Metres.

@@ -23,7 +23,7 @@ pub type Rigid3 = na::Isometry3<f64>;
 /// A rigid transform in single precision, for points.
 pub type Rigid3f = na::Isometry3<f32>;
 
-/// The planar part `((x, y), yaw)` of a pose.
+/// The 2D part `((x, y), yaw)` of a pose.
 pub fn project_2d(pose: &Rigid3) -> Rigid2 {
     Rigid2::new(pose.translation.x, pose.translation.y, yaw(&pose.rotation))
 }
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn embedded_translation_acts_like_the_planar_one() {
+    fn embedded_translation_acts_like_the_one_in_2d() {
         let pose = Rigid3::from_parts(
             na::Translation3::new(1.0, 2.0, 3.0),
             rotation_from_roll_pitch_yaw(0.1, 0.2, 0.3),

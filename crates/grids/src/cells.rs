@@ -1,4 +1,4 @@
-//! The cells of a planar grid: what probability grids and truncated signed distance fields share.
+//! The cells of a 2D grid: what probability grids and truncated signed distance fields share.
 
 use portolan_geometry::Vector2f;
 

@@ -2,6 +2,7 @@
 
 mod cells;
 mod error;
+mod grid_2d;
 mod hybrid;
 mod hybrid_parts;
 mod insert_hybrid;
@@ -14,7 +15,6 @@ mod limits;
 mod match_spread;
 mod normals;
 mod parts;
-mod planar;
 mod probability;
 mod ray;
 mod scan_agreement;
@@ -33,6 +33,7 @@ extern crate self as portolan_grids;
 mod testing;
 
 pub use error::{GridError, InserterOptionError};
+pub use grid_2d::{CellValue, Grid2d};
 pub use hybrid::{HybridGrid, VoxelLattice};
 pub use hybrid_parts::{HybridGridParts, HybridGridRepairs};
 pub use insert_hybrid::{HybridInserter, HybridInserterOptions};
@@ -44,7 +45,6 @@ pub use limits::{CellBox, CellIndex, MapLimits, lround};
 pub use match_spread::{MatchSpread, match_spread};
 pub use normals::{NormalEstimationOptions, estimate_normals, sort_by_direction};
 pub use parts::{GridParts, GridRepairs, TsdfParts};
-pub use planar::{CellValue, Grid2d};
 pub use probability::ProbabilityGrid;
 pub use ray::for_each_cell_on_ray;
 pub use scan_agreement::{

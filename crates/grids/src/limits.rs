@@ -1,10 +1,10 @@
-//! Where a planar grid lies and how points become cells.
+//! Where a 2D grid lies and how points become cells.
 
 use portolan_geometry::{Vector2, Vector2f};
 
 use super::GridError;
 
-/// Indices of a cell of a planar grid. They may lie outside the grid.
+/// Indices of a cell of a 2D grid. They may lie outside the grid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct CellIndex {
     /// Along −y of the map.
@@ -79,7 +79,7 @@ pub fn lround(value: f64) -> i64 {
     truncated.saturating_add(i64::from(fraction >= 0.5) - i64::from(fraction <= -0.5))
 }
 
-/// Resolution, corner and size of a planar grid.
+/// Resolution, corner and size of a 2D grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapLimits {
     resolution: f64,

@@ -1,9 +1,9 @@
-//! Planar grids taken apart and put together, for files.
+//! 2D grids taken apart and put together, for files.
 
 use super::value::{UNKNOWN_CELL, UPDATE_MARKER, ValueCode};
 use super::{CellBox, CellGrid, CellIndex, Grid2d, GridError, MapLimits, ProbabilityGrid, Tsdf2d};
 
-/// Everything a planar grid consists of.
+/// Everything a 2D grid consists of.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GridParts {
     /// Where the grid lies.

@@ -1,4 +1,4 @@
-//! The planar probability grid.
+//! The 2D probability grid.
 
 use portolan_geometry::Vector2f;
 

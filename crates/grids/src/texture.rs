@@ -22,7 +22,7 @@ pub struct Texture {
 }
 
 impl Texture {
-    /// The known part of a planar submap whose grid is in the local map frame.
+    /// The known part of a 2D submap whose grid is in the local map frame.
     pub fn of_grid(grid: &Grid2d, local_from_submap: &Rigid3) -> Self {
         let part = grid.known_cells_box().unwrap_or(CellBox::of(CellIndex::default()));
         let mut value_alpha =

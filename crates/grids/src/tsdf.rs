@@ -1,4 +1,4 @@
-//! The planar truncated signed distance field.
+//! The 2D truncated signed distance field.
 
 use portolan_geometry::Vector2f;
 

@@ -15,14 +15,14 @@ pub const CODE_COUNT: usize = 1 << 15;
 pub const MIN_PROBABILITY: f32 = 0.1;
 /// Largest probability of a hybrid grid.
 pub const MAX_PROBABILITY: f32 = 1.0 - MIN_PROBABILITY;
-/// Smallest correspondence cost (one minus probability) of a planar grid: 0.100000024.
+/// Smallest correspondence cost (one minus probability) of a 2D grid: 0.100000024.
 pub const MIN_CORRESPONDENCE_COST: f32 = 1.0 - MAX_PROBABILITY;
-/// Largest correspondence cost of a planar grid.
+/// Largest correspondence cost of a 2D grid.
 pub const MAX_CORRESPONDENCE_COST: f32 = 1.0 - MIN_PROBABILITY;
 
 /// Codes of probabilities, as hybrid grids store them.
 pub const PROBABILITY_CODE: ValueCode = ValueCode::new(MIN_PROBABILITY, MAX_PROBABILITY);
-/// Codes of correspondence costs, as planar probability grids store them.
+/// Codes of correspondence costs, as 2D probability grids store them.
 pub const CORRESPONDENCE_COST_CODE: ValueCode =
     ValueCode::new(MIN_CORRESPONDENCE_COST, MAX_CORRESPONDENCE_COST);
 
@@ -84,7 +84,7 @@ pub fn probability_from_odds(odds: f32) -> f32 {
 pub struct UpdateTable(Box<[u16; CODE_COUNT]>);
 
 impl UpdateTable {
-    /// For planar grids, whose cells hold correspondence costs: multiplies the odds of the probability
+    /// For 2D grids, whose cells hold correspondence costs: multiplies the odds of the probability
     /// by `odds`; an unknown cell takes the probability of `odds` itself.
     pub fn for_correspondence_costs(odds: f32) -> Self {
         Self::new(|code| {

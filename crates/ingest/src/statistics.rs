@@ -18,7 +18,7 @@ const MAX_SAMPLES: usize = 20_000;
 /// Fraction of readings at exactly the largest value that makes it the mark for "nothing seen".
 const SATURATED_SHARE: f64 = 0.005;
 
-/// Clouds of fewer degrees from top to bottom are not of space.
+/// Clouds of fewer degrees from top to bottom are not of 3D lidars.
 const MIN_SPACE: f64 = 5.0;
 
 /// Turns of spinning lidars a second. Clouds that come more rarely are key frames that somebody chose, not turns.
@@ -56,7 +56,7 @@ pub struct RangeStatistics {
     /// How long one message measures; zero if all points have the same time.
     pub sweep_duration: f64,
     /// How much of the motion of the lidar is in its clouds; none if it did not move while it was looked at, or if
-    /// clouds are no sweeps in space.
+    /// clouds are no sweeps of 3D lidars.
     pub skew: Option<Skew>,
     /// What the times of points are to be multiplied with, as the motion in clouds tells; none if they are right as far as is known.
     /// 0: they are not to be used.
@@ -353,7 +353,7 @@ impl RangeSampler {
     fn judge_times(&self, statistics: &mut RangeStatistics, duty: f64) {
         let spins = statistics.is_spinning();
         let Some(skew) = statistics.skew.as_mut().filter(|_| statistics.sweep_duration > 0.0) else { return };
-        let Some(told) = self.skew.times_told(skew, duty, spins) else { return };
+        let Some(told) = self.skew.right_times(skew, duty, spins) else { return };
         if told.is_clear {
             skew.elevation = told.elevation;
         }

@@ -67,11 +67,11 @@ fn both_forms_of_fr079_hold_the_same_messages() {
 }
 
 #[test]
-fn a_robot_in_the_plane_is_understood() {
+fn a_robot_in_2d_is_understood() {
     let Some(path) = real_data("lidar2d/aces/aces.clf.bz2") else { return };
     let (found, ingestion) = measurements(&*open(path).unwrap());
     let plan = ingestion.plan();
-    assert_eq!((plan.dimension, plan.tracking_frame.as_str()), (Dimension::Two, "base_link"));
+    assert_eq!((plan.dimension, plan.tracking_frame.as_str()), (Dimension::TwoD, "base_link"));
     let names: Vec<String> = ingestion.sensors().iter().map(|s| s.id.to_string()).collect();
     assert_eq!(names, ["odom", "scan"]);
     assert_eq!(found.len(), 2 * 7374);
@@ -89,7 +89,7 @@ fn the_last_second_is_processed() {
     let (_, last) = recording.time_range().unwrap();
     let (found, ingestion) = measurements(&*recording);
     let plan = ingestion.plan();
-    assert_eq!((plan.dimension, plan.tracking_frame.as_str()), (Dimension::Three, "imu_link"));
+    assert_eq!((plan.dimension, plan.tracking_frame.as_str()), (Dimension::ThreeD, "imu_link"));
     assert!(plan.imu.is_some() && plan.odometry.is_none());
     let last_scan = found.iter().rev().find(|m| matches!(m.1, Measurement::Range(_))).unwrap().1.time();
     assert!(last.seconds_since(last_scan) < 0.2);
@@ -131,7 +131,7 @@ fn clouds_without_times_are_instants() {
     let (_, Measurement::Range(first)) = ingestion.next().unwrap().unwrap() else { panic!() };
     assert!(first.points_in_tracking.len() > 100_000);
     assert!(!ingestion.statistics().range[0].1.has_point_times());
-    assert_eq!(ingestion.plan().dimension, Dimension::Three);
+    assert_eq!(ingestion.plan().dimension, Dimension::ThreeD);
 }
 
 #[test]

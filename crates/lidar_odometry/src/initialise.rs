@@ -85,12 +85,12 @@ struct Relative {
     is_open: bool,
 }
 
-/// What the first two sweeps say of the motion.
-enum FirstLooks {
-    /// That it is one of these, which differ and fit well enough to be followed.
-    Told(Vec<Relative>),
-    /// Nothing, because they do not show the same things: the sweeps that follow have to tell which of these it is.
-    Open(Vec<Rigid3>),
+/// The motion between the first two sweeps.
+enum FirstMotion {
+    /// One of these registrations, which differ and fit well enough to be followed.
+    Registered(Vec<Relative>),
+    /// The sweeps do not show the same things: those that follow have to tell which of these it is.
+    Undecided(Vec<Rigid3>),
 }
 
 impl<'a> FirstSweeps<'a> {
@@ -123,9 +123,9 @@ impl<'a> FirstSweeps<'a> {
         let Some(second) = second.filter(|s| s.end > first.end) else {
             return vec![still.leveled(&planes)];
         };
-        let mut starts = match still.first_looks((&reference, &planes), second) {
-            FirstLooks::Told(found) => still.all_followed(found, second),
-            FirstLooks::Open(motions) => {
+        let mut starts = match still.first_motion((&reference, &planes), second) {
+            FirstMotion::Registered(found) => still.all_followed(found, second),
+            FirstMotion::Undecided(motions) => {
                 let seconds = second.end.seconds_since(first.end);
                 motions
                     .iter()
@@ -161,16 +161,16 @@ impl<'a> FirstSweeps<'a> {
     }
 
     /// The second sweep registered to the first from wherever it may lie, both as they came.
-    fn first_looks(&self, (reference, planes): (&[Point3f], &PlaneMap), second: &Sweep) -> FirstLooks {
+    fn first_motion(&self, (reference, planes): (&[Point3f], &PlaneMap), second: &Sweep) -> FirstMotion {
         let deskewed = self.deskewed(second);
         let peaks = self.coarse_motions(reference, &deskewed, second);
         let as_believed = self.believed(second);
         let share = peaks.first().map(|(_, share)| *share);
         let places: Vec<Rigid3> = peaks.into_iter().map(|(motion, _)| motion).collect();
         match share {
-            None => FirstLooks::Told(self.registered(planes, &deskewed, &[as_believed])),
+            None => FirstMotion::Registered(self.registered(planes, &deskewed, &[as_believed])),
             Some(share) if share < self.settings.correlation.min_share => {
-                FirstLooks::Open(std::iter::once(as_believed).chain(places).collect())
+                FirstMotion::Undecided(std::iter::once(as_believed).chain(places).collect())
             }
             Some(_) => {
                 let mut found = self.registered(planes, &deskewed, &places);
@@ -182,7 +182,7 @@ impl<'a> FirstSweeps<'a> {
                         is_open: true,
                     }));
                 }
-                FirstLooks::Told(found)
+                FirstMotion::Registered(found)
             }
         }
     }

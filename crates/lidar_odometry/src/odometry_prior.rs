@@ -12,7 +12,7 @@ use portolan_sensor::ImuData;
 use crate::predict;
 use crate::segment::{MotionSource, TrajectorySegment};
 use crate::settings::MotionPriorSettings;
-use calibration::{Calibration, ToldMotion};
+use calibration::{Calibration, OdometryMotion};
 use trust::{OdometryTrust, Predicted, TwoMotions};
 
 /// Follows how far odometry may be believed.
@@ -34,7 +34,7 @@ pub(crate) struct OdometryPrediction {
     pub measured: TrajectorySegment,
     /// As the platform goes on without odometry.
     pub otherwise: TrajectorySegment,
-    told: ToldMotion,
+    told: OdometryMotion,
     two: TwoMotions,
 }
 
@@ -89,7 +89,7 @@ impl OdometryPrior {
         let without = self.without.as_mut()?;
         without.prepare(end);
         let otherwise = predict::extrapolated(without, end);
-        let motion = ToldMotion { translation: told.translation(), seconds: told.seconds() };
+        let motion = OdometryMotion { translation: told.translation(), seconds: told.seconds() };
         let sigma = self.calibration.sigma(&motion);
         let mut measured = self.calibration.corrected(told, &motion);
         measured.source = MotionSource::Odometry { translation_sigma: sigma };

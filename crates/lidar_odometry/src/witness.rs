@@ -32,7 +32,7 @@ pub(crate) struct TravelWitness {
     seen: VecDeque<Seen>,
     asked_at: Option<Time>,
     /// When it last told where it is along all that was open.
-    told: Option<ToldPlace>,
+    told: Option<Telling>,
     /// Translations that planes left open in the last sweep, in the local map, orthonormal.
     open: Vec<Vector3>,
     /// Since when horizontal ones among them are.
@@ -41,7 +41,7 @@ pub(crate) struct TravelWitness {
 
 /// When it told where it is, and how well, metres.
 #[derive(Clone, Copy)]
-struct ToldPlace {
+struct Telling {
     at: Time,
     sigma: f64,
 }
@@ -109,7 +109,7 @@ impl TravelWitness {
     }
 
     /// Whether what planes leave open was told lately.
-    pub fn has_told(&self, end: Time) -> bool {
+    pub fn told_lately(&self, end: Time) -> bool {
         self.told.is_some_and(|told| end.seconds_since(told.at) <= self.settings.span)
     }
 
@@ -191,8 +191,8 @@ impl TravelWitness {
         if !self.correlation.is_told(sigma, remaining) {
             return None;
         }
-        let power = if self.has_told(now.end) { 2 } else { 1 };
-        self.told = Some(ToldPlace { at: now.end, sigma: remaining.max(self.correlation.resolution()) });
+        let power = if self.told_lately(now.end) { 2 } else { 1 };
+        self.told = Some(Telling { at: now.end, sigma: remaining.max(self.correlation.resolution()) });
         let shift = posterior.shift * self.correlation.shrinkage(posterior.shift.norm());
         Some(Discrepancy { shift, seconds, power })
     }
@@ -313,7 +313,7 @@ mod tests {
     #[test]
     fn what_is_right_or_measured_is_left_alone() {
         let (witness, right) = heard(|t| 4.0 * t, |t| 4.0 * t, MotionSource::ConstantVelocity);
-        assert!(right.unwrap().shift.norm() < 0.1 && witness.has_told(time(1.4)), "{right:?}");
+        assert!(right.unwrap().shift.norm() < 0.1 && witness.told_lately(time(1.4)), "{right:?}");
         let (_, measured) = heard(|t| 4.0 * t, |t| 2.0 * t, MotionSource::Standing);
         assert_eq!(measured, None);
         let inertial = MotionSource::Inertial { velocity_sigma: 0.1 };
@@ -352,7 +352,7 @@ mod tests {
                 witness.add(time(at), &in_local, &(Vector3::x() * f64::from(x)));
                 witness.leaves_open(time(at), vec![Vector3::x()]);
             }
-            (witness.is_guess(time(2.9)), witness.has_told(time(2.9)))
+            (witness.is_guess(time(2.9)), witness.told_lately(time(2.9)))
         };
         assert_eq!([false, true].map(guesses_after), [(true, false), (false, true)]);
     }

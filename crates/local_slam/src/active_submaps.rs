@@ -7,10 +7,10 @@ use portolan_geometry::Point3f;
 use portolan_issue::{IssueKind, IssueLog};
 use portolan_submaps::GrowingSubmap;
 
-use crate::{InsertionSubmap, LocalSpace};
+use crate::{InsertionSubmap, LocalSlamSpace};
 
 /// None, one or two submaps that are being filled, oldest first.
-pub struct ActiveSubmaps<S: LocalSpace> {
+pub struct ActiveSubmaps<S: LocalSlamSpace> {
     submaps: Vec<ActiveSubmap<S>>,
     next_index: u32,
     scans_per_half: u32,
@@ -25,14 +25,14 @@ pub struct ActiveSubmaps<S: LocalSpace> {
 const SPARSE_STEP: f64 = 0.25;
 
 /// A submap that is being filled.
-struct ActiveSubmap<S: LocalSpace> {
+struct ActiveSubmap<S: LocalSlamSpace> {
     index: u32,
     submap: S::Submap,
     /// Way of the scanner since its first scan, metres.
     way: f64,
 }
 
-impl<S: LocalSpace> ActiveSubmap<S>
+impl<S: LocalSlamSpace> ActiveSubmap<S>
 where
     S::Submap: GrowingSubmap,
 {
@@ -41,7 +41,7 @@ where
     }
 }
 
-impl<S: LocalSpace> ActiveSubmaps<S>
+impl<S: LocalSlamSpace> ActiveSubmaps<S>
 where
     S::Submap: GrowingSubmap,
 {

@@ -11,7 +11,7 @@ mod usual_agreement;
 
 pub use active_submaps::ActiveSubmaps;
 pub use node::{GatheredVariance, InsertedNode, InsertionSubmap, NodeData};
-pub use space::{LocalSpace, Planar, Spatial};
+pub use space::{LocalSlamSpace, Space2d, Space3d};
 pub use three_d::{LocalSlam3d, LocalSlam3dSettings};
 pub use two_d::{LocalSlam2d, LocalSlamExtras, refutes_place};
 pub use usual_agreement::{AT_RIGHT_PLACES, AT_WRONG_PLACES, MatchAcceptance, Shares, UsualAgreement};
@@ -36,7 +36,7 @@ pub struct LocalSlamError(pub String);
 
 /// What became of a scan.
 #[derive(Clone, Debug)]
-pub struct MatchingResult<S: LocalSpace> {
+pub struct MatchingResult<S: LocalSlamSpace> {
     /// Time of its last point.
     pub time: Time,
     /// Where it was taken, in the local map.
@@ -52,7 +52,7 @@ pub struct MatchingResult<S: LocalSpace> {
     pub lost: Option<Lost<S>>,
 }
 
-impl<S: LocalSpace> MatchingResult<S> {
+impl<S: LocalSlamSpace> MatchingResult<S> {
     /// Of a scan that is no node.
     fn not_inserted(time: Time, local_from_tracking: Rigid3, range_data_in_local: RangeData) -> Self {
         Self {
@@ -79,7 +79,7 @@ pub struct OdometryBridge {
 
 /// The end of a piece of map, after which nothing, or odometry alone, constrained the pose of the scanner.
 #[derive(Clone, Debug)]
-pub struct Lost<S: LocalSpace> {
+pub struct Lost<S: LocalSlamSpace> {
     /// Time of the first scan that did not fit any more, or of the last one before a gap.
     pub since: Time,
     /// The submaps that were being filled then.
@@ -92,7 +92,7 @@ pub struct Lost<S: LocalSpace> {
     pub bridge: Option<OdometryBridge>,
 }
 
-impl<S: LocalSpace> Lost<S> {
+impl<S: LocalSlamSpace> Lost<S> {
     /// Whether there were no scans meanwhile, and odometry measured the motion; else scans did not fit.
     pub fn is_gap(&self) -> bool {
         self.bridge.is_some_and(|bridge| !bridge.is_contradicted)
@@ -103,7 +103,7 @@ impl<S: LocalSpace> Lost<S> {
 const MOST_GATHERED_POINTS: usize = 5_000_000;
 
 /// The local SLAM of one trajectory.
-pub trait LocalSlam<S: LocalSpace>: Send {
+pub trait LocalSlam<S: LocalSlamSpace>: Send {
     /// A range measurement. Gives what became of scans whose turn has come, this one or earlier ones.
     fn add_range_data(&mut self, sensor_id: &SensorId, data: TimedPointCloudData) -> Vec<MatchingResult<S>>;
 

@@ -6,9 +6,9 @@ use portolan_geometry::{Quaternion, Rigid3, Time};
 use portolan_grids::ScanAgreement;
 use portolan_motion::Observability;
 use portolan_sensor::PointCloud;
-use portolan_submaps::PlanarScan;
+use portolan_submaps::KeptScan2d;
 
-use crate::LocalSpace;
+use crate::LocalSlamSpace;
 
 /// The unchanging part of a node. Files have the same fields in 2D and 3D; the dimension decides
 /// which clouds are filled.
@@ -29,12 +29,12 @@ pub struct NodeData {
     /// Pose of the tracking frame in the local map.
     pub local_from_tracking: Rigid3,
     /// 2D: the whole scan, gravity aligned, to draw submaps again; none if it came from a file.
-    pub scan: Option<PlanarScan>,
+    pub scan: Option<KeptScan2d>,
 }
 
 /// A submap into which local SLAM inserted a scan.
 #[derive(Clone, Debug)]
-pub struct InsertionSubmap<S: LocalSpace> {
+pub struct InsertionSubmap<S: LocalSlamSpace> {
     /// Counted from zero within the trajectory.
     pub index: u32,
     /// Pose in the local map.
@@ -54,7 +54,7 @@ pub struct GatheredVariance {
 
 /// A scan that local SLAM inserted.
 #[derive(Clone, Debug)]
-pub struct InsertedNode<S: LocalSpace> {
+pub struct InsertedNode<S: LocalSlamSpace> {
     /// The node.
     pub data: Arc<NodeData>,
     /// The submaps that it was inserted into, oldest first.
@@ -67,7 +67,7 @@ pub struct InsertedNode<S: LocalSpace> {
     pub agreement: Option<ScanAgreement>,
 }
 
-impl<S: LocalSpace> InsertedNode<S> {
+impl<S: LocalSlamSpace> InsertedNode<S> {
     /// Of a scan that constrains all of its motion, and of which no more is known.
     pub fn new(data: Arc<NodeData>, submaps: Vec<InsertionSubmap<S>>) -> Self {
         let (open, gathered) = (Observability::default(), GatheredVariance::default());

@@ -20,7 +20,7 @@ const TURN_BY_TIME: f64 = 0.001;
 const INDEPENDENT_METRES: f64 = 0.5;
 const INDEPENDENT_RADIANS: f64 = 0.35;
 const INDEPENDENT_SECONDS: f64 = 10.0;
-/// Variance of what cannot vary in the plane: so small that it changes nothing, and not 0, so that matrices can be inverted.
+/// Variance of what cannot vary in 2D: so small that it changes nothing, and not 0, so that matrices can be inverted.
 const FIXED: f64 = 1e-9;
 
 /// What no number of scans makes smaller, since walls of the map lie where the map's own error and its cells put them:
@@ -34,17 +34,17 @@ pub struct MapError {
 }
 
 impl MapError {
-    /// About what maps of the halves of real planar logs are bent against those of the whole within a few metres.
+    /// About what maps of the halves of real 2D logs are bent against those of the whole within a few metres.
     pub const USUAL: Self = Self { metres: 0.035, radians: 0.008 };
 }
 
 /// How a scanner can move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Freedom {
-    /// In the plane: x, y and yaw.
-    Plane,
-    /// In space.
-    Space,
+    /// In 2D: x, y and yaw.
+    TwoD,
+    /// In 3D: all six.
+    ThreeD,
 }
 
 impl Freedom {
@@ -52,14 +52,14 @@ impl Freedom {
     pub(crate) fn variances(self, metres_squared: f64, radians_squared: f64) -> Vector6 {
         let (m, r) = (metres_squared, radians_squared);
         match self {
-            Self::Plane => Vector6::new(m, m, 0.0, 0.0, 0.0, r),
-            Self::Space => Vector6::new(m, m, m, r, r, r),
+            Self::TwoD => Vector6::new(m, m, 0.0, 0.0, 0.0, r),
+            Self::ThreeD => Vector6::new(m, m, m, r, r, r),
         }
     }
 
     /// A covariance in which what cannot vary is as good as known.
     fn restricted(self, covariance: &Matrix6) -> Matrix6 {
-        if self == Self::Space {
+        if self == Self::ThreeD {
             return 0.5 * (covariance + covariance.transpose());
         }
         let is_open = |i: usize| matches!(i, 0 | 1 | 5);
@@ -170,7 +170,7 @@ mod tests {
 
     #[test]
     fn a_corridor_tells_nothing_along_it() {
-        for freedom in [Freedom::Plane, Freedom::Space] {
+        for freedom in [Freedom::TwoD, Freedom::ThreeD] {
             let mut belief = PoseEstimate::new(Rigid3::identity(), freedom, MapError::USUAL, (0.2, 0.02));
             let across = Matrix6::from_diagonal(&Vector6::new(0.0, 1e4, 1e4, 1e5, 1e5, 1e5));
             for _ in 0..100 {
@@ -189,7 +189,7 @@ mod tests {
 
     #[test]
     fn standing_scans_do_not_add_up() {
-        let mut belief = PoseEstimate::new(Rigid3::identity(), Freedom::Plane, MapError::USUAL, (1.0, 0.1));
+        let mut belief = PoseEstimate::new(Rigid3::identity(), Freedom::TwoD, MapError::USUAL, (1.0, 0.1));
         let information = Matrix6::from_diagonal(&Vector6::new(1e3, 1e3, 0.0, 0.0, 0.0, 1e3));
         belief.update(&along(0.1), &information);
         let once = belief.sigmas().0;
@@ -201,8 +201,8 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_vary_in_the_plane_never_does() {
-        let mut belief = PoseEstimate::new(Rigid3::identity(), Freedom::Plane, MapError::USUAL, (0.2, 0.02));
+    fn what_cannot_vary_in_2d_never_does() {
+        let mut belief = PoseEstimate::new(Rigid3::identity(), Freedom::TwoD, MapError::USUAL, (0.2, 0.02));
         for _ in 0..10_000 {
             belief.predict(&Rigid3::translation(1.0, 0.5, 0.0), 0.1);
             let information = Matrix6::from_diagonal(&Vector6::new(1e4, 1e4, 0.0, 0.0, 0.0, 1e5));

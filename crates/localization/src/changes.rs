@@ -44,7 +44,7 @@ pub trait ChangeCounter: Send {
     fn changes(&self) -> Vec<Change>;
 }
 
-/// A region of the plane in which a recording contradicts the map.
+/// A region in which a recording contradicts the map.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Change {
     /// What changed.

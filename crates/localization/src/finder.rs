@@ -13,7 +13,7 @@ use crate::paired::Discordant;
 use crate::placed_scan::PlacedScan;
 use crate::recent::{KeyScan, Offered, RecentScans};
 use crate::rivals::{BETTER_BY, BETTER_FIT, Rivals};
-use crate::search::{Decision, Due, Judge, Places, PositionFix, Searcher, TimedPose, ToldStart};
+use crate::search::{Decision, Due, GivenStart, Judge, Places, PositionFix, Searcher, TimedPose};
 use crate::state::{Estimate, Place, Reason, State};
 
 /// A scan that contradicts the map where it is believed to be is looked for so far around, metres and radians, and
@@ -103,7 +103,7 @@ pub(crate) struct Finder<M: KnownMap> {
     last: Option<TimedPose>,
     pace: Pace,
     start: Option<(Rigid3, (f64, f64))>,
-    told: Option<ToldStart>,
+    told: Option<GivenStart>,
     /// One that scans have not reached yet.
     fix: Option<PositionFix>,
     /// None where nobody wants to know what has changed.
@@ -150,7 +150,7 @@ impl<M: KnownMap> Finder<M> {
         }
         if let Some((pose, sigmas)) = self.start.take() {
             let map_from_scan = M::local_from_scan(&pose);
-            self.told = Some(ToldStart { map_from_scan, sigmas, local_from_scan });
+            self.told = Some(GivenStart { map_from_scan, sigmas, local_from_scan });
         }
         self.reach_fix(&TimedPose { time: scan.time, local_from_scan });
         let current = self.current(scan, local_from_scan);
@@ -187,7 +187,7 @@ impl<M: KnownMap> Finder<M> {
         self.fix = None;
         let before = self.last.as_ref().unwrap_or(now);
         if before.time.seconds_since(fix.time) < STALE_FIX && matches!(self.mode, Mode::Searching { .. }) {
-            self.told = Some(ToldStart::of_fix(&fix, before, now));
+            self.told = Some(GivenStart::of_fix(&fix, before, now));
         }
     }
 
@@ -309,16 +309,16 @@ impl<M: KnownMap> Finder<M> {
         let is_known = |pose: &Rigid3| known.iter().any(|place| place.is_at(&(*pose * motion)));
         let mut found = self.searcher.propose(&self.recent, None, &is_known);
         if let Some(told) = &self.told {
-            found.extend(self.propose_told(told, &newest.local_from_scan, &is_known));
+            found.extend(self.propose_given_start(told, &newest.local_from_scan, &is_known));
         }
         found.iter_mut().for_each(|place| place.predict(&motion, 0.0));
         found
     }
 
     /// Places where the recent scans fit around where the recording was told to be.
-    fn propose_told(
+    fn propose_given_start(
         &self,
-        told: &ToldStart,
+        told: &GivenStart,
         local_from_scan: &Rigid3,
         is_known: &(dyn Fn(&Rigid3) -> bool + Sync),
     ) -> Vec<Hypothesis> {

@@ -157,7 +157,7 @@ pub(crate) fn test_place(x: f64, fits: &[f32]) -> Hypothesis {
     let agreement = |fit: &f32| ScanAgreement { explained: *fit, ..ScanAgreement::default() };
     let pose = Rigid3::translation(x, 0.0, 0.0);
     let belief =
-        PoseEstimate::new(pose, crate::belief::Freedom::Plane, crate::belief::MapError::USUAL, PROPOSED);
+        PoseEstimate::new(pose, crate::belief::Freedom::TwoD, crate::belief::MapError::USUAL, PROPOSED);
     Hypothesis {
         belief,
         agreement: fits.last().map(agreement).unwrap_or_default(),

@@ -10,7 +10,7 @@ const POINT_SIGMA: f64 = 0.1;
 /// Normals are off by some 10°: so much of the information of the strongest direction appears in the weakest
 /// without anything being there, and is taken off.
 const SPURIOUS: f64 = 0.04;
-/// In space, where what is strongest may tell nothing of the weakest: variance of a normal about each of two axes along its
+/// In 3D, where what is strongest may tell nothing of the weakest: variance of a normal about each of two axes along its
 /// surface, rad².
 pub(crate) const NORMAL_VARIANCE: f64 = 0.03;
 
@@ -30,9 +30,11 @@ pub(crate) fn information(contacts: impl Iterator<Item = Contact>, freedom: Free
         along_surfaces += along_surface(&lever, &along_normal);
     }
     let kept = match freedom {
-        Freedom::Plane => without_spurious(&sum, freedom),
+        Freedom::TwoD => without_spurious(&sum, freedom),
         // n̂ = n + δ, with δ along the surface: E[n̂ n̂ᵀ] is n nᵀ and the variance of δ in both of its directions.
-        Freedom::Space => reduced(&(sum - NORMAL_VARIANCE * along_surfaces), lever_scale(&sum, freedom), 0.0),
+        Freedom::ThreeD => {
+            reduced(&(sum - NORMAL_VARIANCE * along_surfaces), lever_scale(&sum, freedom), 0.0)
+        }
     };
     kept / (POINT_SIGMA * POINT_SIGMA)
 }
@@ -51,9 +53,9 @@ pub(crate) fn along_surface(lever: &Vector3, along_normal: &Matrix6) -> Matrix6 
     axes.map(|axis| outer(lever, &axis).1).iter().sum::<Matrix6>() - along_normal
 }
 
-/// In space: the part of it that tells something.
+/// In 3D: the part of it that tells something.
 pub(crate) fn positive(information: &Matrix6) -> Matrix6 {
-    reduced(information, lever_scale(information, Freedom::Space), 0.0)
+    reduced(information, lever_scale(information, Freedom::ThreeD), 0.0)
 }
 
 /// Takes off what errors of normals add in every direction.
@@ -76,8 +78,8 @@ fn reduced(information: &Matrix6, lever: f64, fraction: f64) -> Matrix6 {
 /// How far, metres, the points lie that a turn moves, so that turns can be compared with shifts.
 fn lever_scale(information: &Matrix6, freedom: Freedom) -> f64 {
     let (axes, turning) = match freedom {
-        Freedom::Plane => (2.0, 1.0),
-        Freedom::Space => (3.0, 3.0),
+        Freedom::TwoD => (2.0, 1.0),
+        Freedom::ThreeD => (3.0, 3.0),
     };
     let sum = |from: usize| (from..from + 3).map(|i| information[(i, i)]).sum::<f64>();
     let (shifts, turns) = (sum(0) / axes, sum(3) / turning);
@@ -116,11 +118,11 @@ mod tests {
             Contact { lever: 2.0 * normal + 0.3 * f64::from(i) * along, normal }
         };
         let contacts = normals.iter().flat_map(|n| (-5..=5).map(move |i| contact(n, i)));
-        information(contacts, Freedom::Plane)
+        information(contacts, Freedom::TwoD)
     }
 
     #[test]
-    fn in_space_ground_hides_nothing_of_what_trees_tell() {
+    fn in_3d_ground_hides_nothing_of_what_trees_tell() {
         let ground =
             (-20..=20).flat_map(|i| (-20..=20).map(move |j| [0.5 * f64::from(i), 0.5 * f64::from(j)]));
         let ground = ground.map(|[x, y]| Contact { lever: Vector3::new(x, y, -1.0), normal: Vector3::z() });
@@ -128,18 +130,18 @@ mod tests {
             let normal = Vector3::new(f64::from(i).to_radians().cos(), f64::from(i).to_radians().sin(), 0.0);
             Contact { lever: 5.0 * normal, normal }
         });
-        let of_ground = information(ground.clone(), Freedom::Space);
+        let of_ground = information(ground.clone(), Freedom::ThreeD);
         assert!(of_ground[(0, 0)] < 1e-4 * of_ground[(2, 2)] && of_ground[(5, 5)] < 1.0, "{of_ground}");
         // 180 points face each axis, of which errors of 1681 + 180 normals may feign 0.03 each.
-        let both = information(ground.chain(trunks), Freedom::Space) * (POINT_SIGMA * POINT_SIGMA);
+        let both = information(ground.chain(trunks), Freedom::ThreeD) * (POINT_SIGMA * POINT_SIGMA);
         assert!((both[(0, 0)] - (180.0 - 0.03 * 1861.0)).abs() < 3.0, "{both}");
     }
 
     #[test]
     fn a_corridor_is_open_along_its_walls_and_a_room_is_not() {
         let corridor = walls(&[[0.6, 0.8], [-0.6, -0.8]]);
-        let open = open_direction(&corridor, Freedom::Plane).unwrap();
+        let open = open_direction(&corridor, Freedom::TwoD).unwrap();
         assert!(open.cross(&Vector3::new(-0.8, 0.6, 0.0)).norm() < 1e-6, "{open}");
-        assert_eq!(open_direction(&walls(&[[1.0, 0.0], [0.0, 1.0]]), Freedom::Plane), None);
+        assert_eq!(open_direction(&walls(&[[1.0, 0.0], [0.0, 1.0]]), Freedom::TwoD), None);
     }
 }

@@ -1,13 +1,13 @@
 //! What a map says of the cells in which contradictions are counted.
 
 use portolan_grids::{CellIndex, FREE_CELL, GridError, MapLimits, ProbabilityGrid, SOLID_CELL};
-use portolan_mapping::{GraphState, Planar};
+use portolan_mapping::{GraphState, Space2d};
 
 use crate::changes::FRACTION;
 use crate::known_map::KnownMap;
+use crate::known_map_2d::KnownMap2d;
 use crate::likelihood::LikelihoodField;
 use crate::placed_scan::PlacedScan;
-use crate::planar_map::PlanarMap;
 
 /// Edge of the cells in which contradictions are counted, metres.
 const CELL: f64 = 0.1;
@@ -40,7 +40,7 @@ impl KnownCells {
     pub(crate) fn new(
         grid: &ProbabilityGrid,
         field: &LikelihoodField,
-        state: &GraphState<Planar>,
+        state: &GraphState<Space2d>,
     ) -> Result<Self, GridError> {
         let fine = grid.limits();
         let factor = (CELL / fine.resolution()).round().max(1.0);
@@ -60,7 +60,7 @@ impl KnownCells {
 
     /// Takes back that cells are free in which scans of the map itself end too often: glass and railings, which the grid
     /// holds free because most beams pass. The lidar is taken to be at the origin of the tracking frame.
-    fn leave_out_see_through(&mut self, state: &GraphState<Planar>) {
+    fn leave_out_see_through(&mut self, state: &GraphState<Space2d>) {
         let (mut hits, mut passes) = (Counts::new(self.known.len()), Counts::new(self.known.len()));
         let (mut ends, mut passed) = (MarkedCells::new(self.known.len()), MarkedCells::new(self.known.len()));
         for_each_scan(state, |scan| {
@@ -142,14 +142,14 @@ impl MarkedCells {
 }
 
 /// The scans that the nodes of a map keep.
-fn for_each_scan(state: &GraphState<Planar>, mut visit: impl FnMut(&PlacedScan)) {
+fn for_each_scan(state: &GraphState<Space2d>, mut visit: impl FnMut(&PlacedScan)) {
     for (_, node) in state.nodes.iter() {
         let map_from_tracking = node.map_from_tracking;
         visit(&PlacedScan {
             time: node.data.time,
             origin: map_from_tracking.translation.vector,
             map_from_local: map_from_tracking,
-            returns: &PlanarMap::points_in_tracking(&node.data).points,
+            returns: &KnownMap2d::points_in_tracking(&node.data).points,
         });
     }
 }

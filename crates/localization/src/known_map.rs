@@ -1,4 +1,4 @@
-//! What a saved map has to be able to for scans to be found in it: what differs between the plane and space.
+//! What a saved map has to be able to for scans to be found in it: what differs between 2D and 3D.
 
 use portolan_geometry::{NearFrame, Point3f, Rigid3, Vector2};
 use portolan_grids::{BeamEnd, GridError, ScanAgreement};
@@ -96,7 +96,7 @@ pub struct ScanMatch {
 
 /// A saved map in which scans can be found.
 ///
-/// Frames of scans are level: z points up as in the local map, the origin is that of the tracking frame, in the plane at
+/// Frames of scans are level: z points up as in the local map, the origin is that of the tracking frame, in 2D at
 /// height 0.
 pub trait KnownMap: Sized + Send + Sync + 'static {
     /// Where local SLAM works.

@@ -1,16 +1,16 @@
-//! The planes of a saved map of space.
+//! The planes of a saved 3D map.
 
 use portolan_geometry::{Point3f, to_f32};
 use portolan_grids::SOLID_VOXEL;
 use portolan_lidar_odometry::PlaneMap;
-use portolan_mapping::{GraphState, Node, Spatial};
+use portolan_mapping::{GraphState, Node, Space3d};
 
 use crate::submap_cells::SubmapCells;
 
 /// Adds the solid cells of a submap to planes, if its nodes keep no points. Otherwise its cells say nothing more of planes, and
 /// what they say is biased: all points of a surface that lies along the lattice are moved to the middles of the same cells,
 /// by up to half an edge, and no number of them makes that smaller (docs/experiments/2026-11-along-streets.md).
-pub(crate) fn add_cells(planes: &mut PlaneMap, submap: &SubmapCells, state: &GraphState<Spatial>) {
+pub(crate) fn add_cells(planes: &mut PlaneMap, submap: &SubmapCells, state: &GraphState<Space3d>) {
     if has_points(submap, state) {
         return;
     }
@@ -22,7 +22,7 @@ pub(crate) fn add_cells(planes: &mut PlaneMap, submap: &SubmapCells, state: &Gra
 }
 
 /// Whether any node of a submap keeps points.
-fn has_points(submap: &SubmapCells, state: &GraphState<Spatial>) -> bool {
+fn has_points(submap: &SubmapCells, state: &GraphState<Space3d>) -> bool {
     let mut nodes = submap.entry.node_ids.iter().filter_map(|node| state.nodes.get(node));
     nodes.any(|node| {
         let clouds = [&node.data.high_resolution_point_cloud, &node.data.low_resolution_point_cloud];
@@ -43,7 +43,7 @@ pub(crate) fn with_nodes<'a>(planes: PlaneMap, nodes: impl Iterator<Item = &'a N
 }
 
 /// The planes of the first node, the third and so on, by which the scans of the others are judged.
-pub(crate) fn planes_of_every_other_node(state: &GraphState<Spatial>, edge: f32) -> PlaneMap {
+pub(crate) fn planes_of_every_other_node(state: &GraphState<Space3d>, edge: f32) -> PlaneMap {
     with_nodes(PlaneMap::new(edge), state.nodes.values().step_by(2))
 }
 
@@ -83,7 +83,7 @@ mod tests {
             local_from_tracking: map_from_tracking,
             scan: None,
         };
-        let mut state = GraphState::<Spatial>::default();
+        let mut state = GraphState::<Space3d>::default();
         state.nodes.insert(id, Node { data: Arc::new(data), map_from_tracking });
         let entry = SubmapEntry {
             submap: None,

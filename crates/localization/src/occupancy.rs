@@ -1,8 +1,8 @@
-//! What of space is solid and what is free, over a whole map.
+//! Which voxels are solid and which are free, over a whole 3D map.
 
 use portolan_geometry::{Point3f, to_f32};
 use portolan_grids::{GridError, MAX_VOXEL_INDEX, SOLID_VOXEL, VoxelIndex, VoxelLattice};
-use portolan_mapping::{GraphState, Spatial};
+use portolan_mapping::{GraphState, Space3d};
 
 use crate::submap_cells::SubmapCells;
 use crate::voxel_states::{VoxelState, VoxelStates};
@@ -57,7 +57,7 @@ impl OccupancyBuilder {
     }
 
     /// With the beams of all nodes.
-    pub fn finish(self, state: &GraphState<Spatial>) -> Occupancy {
+    pub fn finish(self, state: &GraphState<Space3d>) -> Occupancy {
         let Self { occupancy: Occupancy { lattice, mut cells }, faded } = self;
         for place in faded {
             let Some(cell) = lattice.cell(&place) else { continue };

@@ -1,14 +1,14 @@
-//! What a map of space says to its own scans: put where they were taken, and where they were not.
+//! What a 3D map says to its own scans: put where they were taken, and where they were not.
 
 use nalgebra::Matrix3;
 use portolan_geometry::{Rigid3, Vector3, rotation_from_roll_pitch_yaw, to_f32};
-use portolan_mapping::{GraphState, Node, Spatial};
+use portolan_mapping::{GraphState, Node, Space3d};
 use rayon::prelude::*;
 
 use crate::belief::{MapError, Matrix6, Vector6, offset};
 use crate::known_map::{KnownMap, ON_THE_WAY};
-use crate::spatial_map::{AROUND_PROPOSAL, SpatialMap};
-use crate::spatial_scan::SpatialScan;
+use crate::known_map_3d::{AROUND_PROPOSAL, KnownMap3d};
+use crate::scan_3d::Scan3d;
 
 /// So many nodes are asked, evenly from all of them.
 const ASKED: usize = 48;
@@ -32,22 +32,22 @@ const MEDIAN_OF_THREE: f64 = 2.366;
 const NOTHING: f64 = 1e-6;
 
 /// The scan of a node, and the frame in which it is level, in the map.
-fn scan_of(node: &Node) -> (SpatialScan, Rigid3) {
-    let level = SpatialMap::local_from_scan(&node.map_from_tracking);
+fn scan_of(node: &Node) -> (Scan3d, Rigid3) {
+    let level = KnownMap3d::local_from_scan(&node.map_from_tracking);
     let scan_from_tracking = to_f32(&(level.inverse() * node.map_from_tracking));
-    let points = SpatialMap::points_in_tracking(&node.data);
-    (SpatialScan::new(&points.transformed(&scan_from_tracking)), level)
+    let points = KnownMap3d::points_in_tracking(&node.data);
+    (Scan3d::new(&points.transformed(&scan_from_tracking)), level)
 }
 
 /// The median share that the map explains of its own scans, put to wrong places.
-pub(crate) fn explained_by_chance(map: &SpatialMap, state: &GraphState<Spatial>) -> f32 {
+pub(crate) fn explained_by_chance(map: &KnownMap3d, state: &GraphState<Space3d>) -> f32 {
     let nodes: Vec<_> = state.nodes.values().collect();
     let misplaced = |k: usize| {
         let (here, there) = (k * nodes.len() / ASKED, (k * 7 + 1) * nodes.len() / ASKED / 2);
         let (node, other) = (nodes.get(here)?, nodes.get(there % nodes.len())?);
         let (scan, level) = scan_of(node);
         let turn = rotation_from_roll_pitch_yaw(0.0, 0.0, 1.0 + GOLDEN_ANGLE * k as f64);
-        let mut guess = SpatialMap::local_from_scan(&other.map_from_tracking);
+        let mut guess = KnownMap3d::local_from_scan(&other.map_from_tracking);
         guess.rotation = turn * level.rotation;
         let pose = map.register(&scan.points, &guess, AROUND_PROPOSAL);
         (!scan.judged.is_empty()).then(|| map.agreement_of(&scan.judged, &pose).explained)
@@ -60,7 +60,7 @@ pub(crate) fn explained_by_chance(map: &SpatialMap, state: &GraphState<Spatial>)
 /// What the map is off by where every other of its scans is looked for in planes that only the rest made: so much variance,
 /// along and about each axis, that half of the scans lie as near to where they were taken as half of all should, beyond what
 /// they say of themselves (as Paule and Mandel 1982 take the variance between laboratories, with the median for the mean).
-pub(crate) fn error_of_own_scans(map: &SpatialMap, state: &GraphState<Spatial>) -> MapError {
+pub(crate) fn error_of_own_scans(map: &KnownMap3d, state: &GraphState<Space3d>) -> MapError {
     let nodes: Vec<_> = state.nodes.values().skip(1).step_by(2).collect();
     let asked = ASKED.min(nodes.len());
     let found = |k: usize| {

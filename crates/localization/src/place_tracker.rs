@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 
 use portolan_geometry::{Rigid3, Time};
-use portolan_mapping::{FoundPlace, GraphState, MatchingResult, Placement, Space, Spatial, SubmapId};
+use portolan_mapping::{FoundPlace, GraphState, MatchingResult, Placement, Space, Space3d, SubmapId};
 
 use crate::finder::{Finder, LocalScan};
 use crate::known_map::KnownMap;
+use crate::known_map_3d::KnownMap3d;
 use crate::localizer::StartPose;
 use crate::search::Searcher;
-use crate::spatial_map::SpatialMap;
 use crate::state::Estimate;
 use crate::trust::trusted_spans;
 
@@ -23,14 +23,14 @@ pub trait PlaceTracker<S: Space>: Send {
     fn known_submaps(&self) -> &BTreeMap<SubmapId, Rigid3>;
 }
 
-/// A tracker in a known map of space; none if there is nothing in it by which scans could be found, or no threads can be started
+/// A tracker in a known 3D map; none if there is nothing in it by which scans could be found, or no threads can be started
 /// (0: as many as there are cores).
-pub fn place_tracker_in_space(
-    known: &GraphState<Spatial>,
+pub fn place_tracker_3d(
+    known: &GraphState<Space3d>,
     start: Option<StartPose>,
     threads: usize,
-) -> Option<Box<dyn PlaceTracker<Spatial>>> {
-    let map = SpatialMap::new(known).ok()?;
+) -> Option<Box<dyn PlaceTracker<Space3d>>> {
+    let map = KnownMap3d::new(known).ok()?;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().ok()?;
     let start = start.map(|s| (s.map_from_tracking, (s.sigma_metres, s.sigma_radians)));
     let submaps = known.submaps.keys().filter_map(|id| Some((*id, known.map_from_submap(*id)?)));

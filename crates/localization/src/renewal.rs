@@ -1,4 +1,4 @@
-//! A map of the plane renewed by a recording that was localised in it: what is gone fades, what is new appears, and the rest
+//! A 2D map renewed by a recording that was localised in it: what is gone fades, what is new appears, and the rest
 //! stays as it was.
 //!
 //! The recording is a trajectory of the map already. Of its submaps those stay that show what the map did not know, or that
@@ -11,12 +11,12 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use portolan_geometry::{Rigid3, Rigid3f, Vector2, project_2d};
 use portolan_mapping::{
-    CellFate, Planar, PoseGraph, Replacement, Space, SubmapEntry, SubmapId, TrajectoryId, of_trajectory,
+    CellFate, PoseGraph, Replacement, Space, Space2d, SubmapEntry, SubmapId, TrajectoryId, of_trajectory,
 };
 
 use crate::changes::{ChangeCounter, ChangeGrid, ChangeKind, ChangedCells};
+use crate::known_map_2d::KnownMap2d;
 use crate::placed_scan::PlacedScan;
-use crate::planar_map::PlanarMap;
 use crate::recent::is_alike;
 
 /// A submap that shows less than this of what the map does not know is not worth its size, square metres.
@@ -64,7 +64,7 @@ impl Renewal {
     }
 }
 
-/// A cell of the plane, counted from the origin of the map.
+/// A cell of a 2D map, counted from the origin of the map.
 type Cell = (i64, i64);
 
 fn cell_at(point: &Vector2) -> Cell {
@@ -82,7 +82,7 @@ struct Shown {
 }
 
 /// Renews a map by a trajectory of it; `before` is the map without this trajectory.
-pub(crate) fn renew(graph: &mut PoseGraph<Planar>, new: TrajectoryId, before: &PlanarMap) -> Renewal {
+pub(crate) fn renew(graph: &mut PoseGraph<Space2d>, new: TrajectoryId, before: &KnownMap2d) -> Renewal {
     let changes = changed_cells(graph, new, before);
     let all = shown(graph, new, before, &changes);
     let unknown = all.iter().map(|(id, shown)| (*id, &shown.unknown)).collect();
@@ -107,9 +107,9 @@ pub(crate) fn renew(graph: &mut PoseGraph<Planar>, new: TrajectoryId, before: &P
 
 /// Draws what has changed into older submaps, and takes what is gone out of older scans.
 fn draw_changes(
-    graph: &mut PoseGraph<Planar>,
+    graph: &mut PoseGraph<Space2d>,
     new: TrajectoryId,
-    before: &PlanarMap,
+    before: &KnownMap2d,
     changes: &ChangedCells,
 ) {
     if changes.is_empty() {
@@ -126,7 +126,7 @@ fn draw_changes(
 }
 
 /// Cells of the map that nodes of the trajectory contradict, from places some way apart.
-fn changed_cells(graph: &PoseGraph<Planar>, new: TrajectoryId, before: &PlanarMap) -> ChangedCells {
+fn changed_cells(graph: &PoseGraph<Space2d>, new: TrajectoryId, before: &KnownMap2d) -> ChangedCells {
     let mut grid = ChangeGrid::new(before.cells.clone());
     let mut last: Option<Rigid3> = None;
     for (_, node) in of_trajectory(&graph.state().nodes, new) {
@@ -135,7 +135,7 @@ fn changed_cells(graph: &PoseGraph<Planar>, new: TrajectoryId, before: &PlanarMa
             continue;
         }
         last = Some(map_from_tracking);
-        let map_from_node = Planar::graph_pose(&map_from_tracking, &node.data.gravity_alignment);
+        let map_from_node = Space2d::graph_pose(&map_from_tracking, &node.data.gravity_alignment);
         let whole = node.data.scan.as_ref().map(|scan| scan.range_data(&Rigid3f::identity()).returns);
         let returns = whole.as_ref().unwrap_or(&node.data.filtered_gravity_aligned_point_cloud);
         grid.add(&PlacedScan {
@@ -150,15 +150,15 @@ fn changed_cells(graph: &PoseGraph<Planar>, new: TrajectoryId, before: &PlanarMa
 
 /// What each submap of the trajectory shows.
 fn shown(
-    graph: &PoseGraph<Planar>,
+    graph: &PoseGraph<Space2d>,
     new: TrajectoryId,
-    before: &PlanarMap,
+    before: &KnownMap2d,
     changes: &ChangedCells,
 ) -> BTreeMap<SubmapId, Shown> {
     let state = graph.state();
-    let of_submap = |(id, entry): (SubmapId, &SubmapEntry<Planar>)| {
+    let of_submap = |(id, entry): (SubmapId, &SubmapEntry<Space2d>)| {
         let map_from_submap = project_2d(&state.map_from_submap(id)?);
-        let centers = Planar::known_cell_centers(entry.submap.as_ref()?)?;
+        let centers = Space2d::known_cell_centers(entry.submap.as_ref()?)?;
         let mut shown = Shown::default();
         for point in centers.iter().map(|center| map_from_submap.transform_point(center)) {
             shown.changed.extend(changes.at(&point));
@@ -192,7 +192,7 @@ pub(crate) fn discovering<C: Ord + Copy>(
 /// Keeps submaps of the recording, too, that replace older ones in which something has changed: at least one each, so that
 /// there are not more in the end. The older ones are returned.
 fn replace(
-    graph: &PoseGraph<Planar>,
+    graph: &PoseGraph<Space2d>,
     new: TrajectoryId,
     all: &BTreeMap<SubmapId, Shown>,
     changes: &ChangedCells,
@@ -203,7 +203,7 @@ fn replace(
             .state()
             .submaps
             .get(id)
-            .and_then(|entry| Planar::known_cell_centers(entry.submap.as_ref()?));
+            .and_then(|entry| Space2d::known_cell_centers(entry.submap.as_ref()?));
         let map_from_submap = graph.state().map_from_submap(*id).map(|pose| project_2d(&pose));
         centers.zip(map_from_submap).is_some_and(|(centers, pose)| {
             centers.iter().any(|center| changes.at(&pose.transform_point(center)).is_some())

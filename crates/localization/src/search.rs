@@ -36,7 +36,7 @@ const TOLD: f64 = 0.2;
 
 /// Where somebody says that the recording starts, or a satellite fix that it goes on.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct ToldStart {
+pub(crate) struct GivenStart {
     pub map_from_scan: Rigid3,
     /// Standard deviations, metres and radians; the heading is not known where the latter is [`ANY_HEADING`].
     pub sigmas: (f64, f64),
@@ -46,7 +46,7 @@ pub(crate) struct ToldStart {
 /// Standard deviation of a heading of which nothing is known, radians.
 pub(crate) const ANY_HEADING: f64 = std::f64::consts::PI;
 
-impl ToldStart {
+impl GivenStart {
     /// That of a satellite fix, told while the scanner goes from one pose in the local map to another.
     pub fn of_fix(fix: &PositionFix, before: &TimedPose, now: &TimedPose) -> Self {
         let seconds = now.time.seconds_since(before.time);

@@ -106,7 +106,7 @@ pub struct Place {
     /// Pose of the tracking frame in the map.
     pub map_from_tracking: Rigid3,
     /// Covariance of the pose in the map: x, y, z and a small rotation about these axes (the last about z: yaw), metres
-    /// and radians. In the plane nothing is said of z and of tilts.
+    /// and radians. In 2D nothing is said of z and of tilts.
     pub covariance: Matrix6,
     /// What the map says to the scan there: shares of its beams.
     pub agreement: ScanAgreement,
@@ -114,7 +114,7 @@ pub struct Place {
 
 impl Place {
     /// Covariance of x, y and yaw alone.
-    pub fn planar_covariance(&self) -> Matrix3<f64> {
+    pub fn covariance_2d(&self) -> Matrix3<f64> {
         let axis = |i: usize| if i < 2 { i } else { 5 };
         Matrix3::from_fn(|i, j| self.covariance.get((axis(i), axis(j))).copied().unwrap_or_default())
     }

@@ -1,11 +1,11 @@
-//! The fine cells of the submaps of a map of space, where the pose graph puts them.
+//! The fine cells of the submaps of a 3D map, where the pose graph puts them.
 
 use portolan_geometry::{Point3f, to_f32};
-use portolan_mapping::{GraphState, Spatial, SubmapEntry};
+use portolan_mapping::{GraphState, Space3d, SubmapEntry};
 
 /// A submap and its fine cells.
 pub(crate) struct SubmapCells<'a> {
-    pub entry: &'a SubmapEntry<Spatial>,
+    pub entry: &'a SubmapEntry<Space3d>,
     /// Where the submap lies, metres in the map.
     pub origin: Point3f,
     /// Centres of its known cells, metres in the map, and how likely each is solid.
@@ -13,7 +13,7 @@ pub(crate) struct SubmapCells<'a> {
 }
 
 /// All submaps that have grids, one after the other: each is read once.
-pub(crate) fn submap_cells(state: &GraphState<Spatial>) -> impl Iterator<Item = SubmapCells<'_>> {
+pub(crate) fn submap_cells(state: &GraphState<Space3d>) -> impl Iterator<Item = SubmapCells<'_>> {
     state.submaps.iter().filter_map(|(id, entry)| {
         let (submap, pose) = (entry.submap.as_ref()?, state.map_from_submap(*id)?);
         let (pose, grid) = (to_f32(&pose), &submap.high_resolution_grid);

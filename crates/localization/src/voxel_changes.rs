@@ -1,4 +1,4 @@
-//! Where a recording contradicts a map of space: cells in which scans of known places end or pass otherwise than the map
+//! Where a recording contradicts a 3D map: cells in which scans of known places end or pass otherwise than the map
 //! says.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -7,17 +7,17 @@ use std::sync::Arc;
 use portolan_geometry::{Point3f, Rigid3, Time, Vector3, to_f32};
 use portolan_grids::{GridError, HybridGrid, VoxelIndex};
 use portolan_lidar_odometry::PlaneMap;
-use portolan_mapping::{GraphState, Spatial};
+use portolan_mapping::{GraphState, Space3d};
 use portolan_sensor::voxel_filter_points;
 
 use crate::change_regions::regions;
 use crate::changes::{Change, ChangeCounter, ChangeKind, FRACTION, SCANS, VIEWPOINTS};
 use crate::finder::LocalScan;
 use crate::known_map::KnownMap;
+use crate::known_map_3d::KnownMap3d;
 use crate::near_cells::NearCells;
 use crate::occupancy::{CELL, Occupancy, around};
 use crate::placed_scan::PlacedScan;
-use crate::spatial_map::SpatialMap;
 
 /// Beams count to this range, metres: headings of maps and matches err by 0.008 rad, half a cell there.
 const RANGE: f32 = 12.0;
@@ -110,12 +110,12 @@ impl KnownVoxels {
     pub fn new(
         occupancy: &Arc<Occupancy>,
         planes: &Arc<PlaneMap>,
-        state: &GraphState<Spatial>,
+        state: &GraphState<Space3d>,
     ) -> Result<Self, GridError> {
         let mut ends = HybridGrid::new(CELL)?;
         for node in state.nodes.values() {
             let pose = to_f32(&node.map_from_tracking);
-            for point in SpatialMap::points_in_tracking(&node.data).points {
+            for point in KnownMap3d::points_in_tracking(&node.data).points {
                 if let Some(cell) = ends.cell_index(&(pose * point)) {
                     ends.set_probability(cell, 0.9);
                 }

@@ -1,4 +1,4 @@
-//! What is known of cells in space, two bits each, in blocks of 8×8×8 cells.
+//! What is known of voxels, two bits each, in blocks of 8×8×8 cells.
 
 use portolan_grids::{MAX_VOXEL_INDEX, VoxelIndex};
 use portolan_spatial::DenseIndex;

@@ -84,7 +84,7 @@ fn fitted(pairs: &[&Pair], at_first: &Rigid3) -> Option<Rigid3> {
     }
     let rotation = rotation_from_roll_pitch_yaw(0.0, 0.0, sine.atan2(cosine));
     let mut shift = in_map - rotation * in_fixed;
-    // Heights of fixes are good for nothing here, and none in the plane.
+    // Heights of fixes are good for nothing here, and none in 2D.
     shift.z = at_first.translation.z;
     Some(Rigid3::from_parts(shift.into(), rotation))
 }

@@ -22,10 +22,11 @@ mod texture_3d;
 mod written;
 
 pub use convert::{
-    FileWork, FrozenTrajectories, LoadedMap, LoadedTrajectories, MapConversionError, MapLoadSettings,
-    MapSpace, WriteReport, builder_options_from_proto, builder_options_to_proto, check_graph, encode_grid_2d,
-    encode_hybrid_grid, load_map, read_map, read_map_2d, submap_textures_2d, submap_textures_3d,
-    trajectory_options_from_proto, trajectory_options_to_proto, write_graph, write_map, write_map_2d,
+    FileWork, FrozenTrajectories, LoadedMap, LoadedTrajectories, MapConversionError, MapFileSpace,
+    MapLoadSettings, WriteReport, builder_options_from_proto, builder_options_to_proto, check_graph,
+    encode_grid_2d, encode_hybrid_grid, load_map, read_map, read_map_2d, submap_textures_2d,
+    submap_textures_3d, trajectory_options_from_proto, trajectory_options_to_proto, write_graph, write_map,
+    write_map_2d,
 };
 pub use edit::{
     EditError, EditReport, FoundLoop, JoinedMap, LoopResidual, LoopWeights, MapDraft, MapOptimization,

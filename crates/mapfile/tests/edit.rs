@@ -278,7 +278,7 @@ fn loops_are_dropped_found_again_and_optimised() {
 }
 
 #[test]
-fn optimising_in_space_keeps_what_fits() {
+fn optimising_in_3d_keeps_what_fits() {
     let Some(path) = real_data("maps/reference/corridor_imu.pbstream") else { return };
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out.pbstream");
@@ -292,7 +292,7 @@ fn optimising_in_space_keeps_what_fits() {
 }
 
 #[test]
-fn loops_in_space_are_found() {
+fn loops_in_3d_are_found() {
     let Some(path) = real_data("maps/reference/corridor_imu.pbstream") else { return };
     let map = draft(&path);
     let options = ConstraintBuilderOptions { global_localization_min_score: 0.4, ..Default::default() };
@@ -376,9 +376,9 @@ fn poses_go_out_and_come_back() {
         let Some(path) = real_data(&format!("maps/reference/{name}.pbstream")) else { return };
         let mut map = draft(&path);
         let exported = map.to_graph().unwrap();
-        if let Graph::Planar(planar) = &exported {
+        if let Graph::TwoD(graph) = &exported {
             let nodes = &map.pose_graph().trajectory[0].node;
-            let vertices = planar.vertices.iter().rev().zip(nodes.iter().rev());
+            let vertices = graph.vertices.iter().rev().zip(nodes.iter().rev());
             for (vertex, node) in vertices {
                 let pose = project_2d(&pose_from_proto(node.pose.as_ref()).unwrap());
                 let off = (pose.inverse() * vertex.pose).angle;
@@ -393,8 +393,8 @@ fn poses_go_out_and_come_back() {
             assert!(off.translation.vector.norm() < 1e-6 && off.rotation.angle() < 1e-6, "{name}");
         }
         let other = match exported {
-            Graph::Planar(_) => Graph::Spatial(Default::default()),
-            Graph::Spatial(_) => Graph::Planar(Default::default()),
+            Graph::TwoD(_) => Graph::ThreeD(Default::default()),
+            Graph::ThreeD(_) => Graph::TwoD(Default::default()),
         };
         assert!(matches!(map.take_graph_poses(&other), Err(EditError::Poses(_))));
         let shift = Rigid3::translation(3.0, 0.0, 0.0);

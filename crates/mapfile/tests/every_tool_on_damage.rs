@@ -28,12 +28,12 @@ use proptest::prelude::*;
 enum Kind {
     Probability,
     Tsdf,
-    Spatial,
+    HybridGrid,
 }
 
 /// A small map that has every kind of message.
 fn whole_map(kind: Kind) -> SmallMap {
-    let mut map = SmallMap::new(kind == Kind::Spatial);
+    let mut map = SmallMap::new(kind == Kind::HybridGrid);
     if kind == Kind::Tsdf {
         for i in 0..2 {
             let grid = map.submap_2d(i).grid.as_mut().unwrap();
@@ -101,7 +101,7 @@ fn use_every_tool(path: &Path, folder: &Path) {
     drop(draft.append(path, &Rigid3::translation(1.0, 2.0, 0.0)));
     draft.loop_residuals();
     draft.drop_loops_beyond(0.3, 0.1);
-    if draft.dimension() != Some(Dimension::Three) {
+    if draft.dimension() != Some(Dimension::ThreeD) {
         drop(draft.find_loop((0, 0), (0, 2), &Default::default()));
     }
     drop(draft.walls());
@@ -132,7 +132,7 @@ fn repaired_is_good(path: &Path, folder: &Path) -> Result<(), TestCaseError> {
 fn the_map_has_every_kind_of_message_and_is_good() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("map.pbstream");
-    for kind in [Kind::Probability, Kind::Tsdf, Kind::Spatial] {
+    for kind in [Kind::Probability, Kind::Tsdf, Kind::HybridGrid] {
         whole_map(kind).write(&path);
         let kinds: std::collections::BTreeSet<MessageKind> =
             messages(&path).iter().map(RawMessage::kind).collect();
@@ -149,7 +149,7 @@ proptest! {
     /// One message, flipped or cut.
     #[test]
     fn damaged_messages(
-        kind in prop_oneof![Just(Kind::Probability), Just(Kind::Tsdf), Just(Kind::Spatial)],
+        kind in prop_oneof![Just(Kind::Probability), Just(Kind::Tsdf), Just(Kind::HybridGrid)],
         which in 0..17_usize,
         flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
         cut in prop::option::weighted(0.2, any::<prop::sample::Index>()),
@@ -173,10 +173,10 @@ proptest! {
 
     /// Messages left out, doubled and in another order.
     #[test]
-    fn shuffled_messages(order in prop::collection::vec(0..17_usize, 1..20), spatial in any::<bool>()) {
+    fn shuffled_messages(order in prop::collection::vec(0..17_usize, 1..20), is_3d in any::<bool>()) {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("map.pbstream");
-        whole_map(if spatial { Kind::Spatial } else { Kind::Probability }).write(&path);
+        whole_map(if is_3d { Kind::HybridGrid } else { Kind::Probability }).write(&path);
         let all = messages(&path);
         let shuffled: Vec<RawMessage> = order.iter().map(|i| all[i % all.len()].clone()).collect();
         write(&path, &shuffled);
@@ -216,7 +216,7 @@ fn numbers_at_their_ends() {
         use_every_tool(&path, folder.path());
         repaired_is_good(&path, folder.path()).unwrap();
     }
-    let mut map = whole_map(Kind::Spatial);
+    let mut map = whole_map(Kind::HybridGrid);
     let grid = map.submap_3d(0).high_resolution_hybrid_grid.as_mut().unwrap();
     grid.x_indices = vec![i32::MIN, i32::MAX, 0];
     map.write(&path);

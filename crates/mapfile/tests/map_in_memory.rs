@@ -14,7 +14,7 @@ use portolan_mapfile::{
     FrozenTrajectories, LoadedMap, MapConversionError, MapLoadSettings, load_map, load_textures, read_map_2d,
     submap_textures_2d, write_map_2d,
 };
-use portolan_mapping::{Mapper, MapperSettings, Planar, PoseGraph, TrajectoryId, TrajectoryState};
+use portolan_mapping::{Mapper, MapperSettings, PoseGraph, Space2d, TrajectoryId, TrajectoryState};
 use portolan_pbstream::proto::mapping::serialized_data::Data;
 use portolan_pbstream::proto::mapping::{self as m};
 use portolan_pbstream::proto::transform::Rigid3d;
@@ -57,7 +57,7 @@ impl Contents {
     }
 }
 
-fn load(path: &Path) -> LoadedMap<Planar> {
+fn load(path: &Path) -> LoadedMap<Space2d> {
     read_map_2d(path, &MapLoadSettings::default()).unwrap()
 }
 
@@ -97,7 +97,7 @@ fn maps_2d() -> Vec<PathBuf> {
 }
 
 #[test]
-fn planar_maps_survive() {
+fn maps_in_2d_survive() {
     let maps = maps_2d();
     let folder = TempDir::new().unwrap();
     for path in &maps {
@@ -219,7 +219,7 @@ fn frozen_maps_keep_constraints_and_measurements() {
 #[test]
 fn maps_are_added_behind_each_other_and_continued() {
     let Some(path) = real_data("maps/reference/small_2d.pbstream") else { return };
-    let mut graph = PoseGraph::<Planar>::new(PoseGraphOptions::default());
+    let mut graph = PoseGraph::<Space2d>::new(PoseGraphOptions::default());
     let mut ended = BTreeMap::new();
     for expected in 0..2 {
         let loaded =
@@ -258,18 +258,18 @@ fn textures_of_memory_and_file_agree() {
 }
 
 #[test]
-fn three_dimensional_maps_are_refused() {
+fn maps_in_3d_are_refused() {
     for name in ["small_3d", "corridor_imu"] {
         let Some(path) = real_data(&format!("maps/reference/{name}.pbstream")) else { continue };
         let refused = read_map_2d(&path, &MapLoadSettings::default()).err().unwrap();
-        assert!(matches!(refused, MapConversionError::ThreeDimensional), "{refused}");
+        assert!(matches!(refused, MapConversionError::ThreeD), "{refused}");
     }
 }
 
 /// Writes the messages of the small reference map after `change`, and reads them.
 fn changed(
     change: impl Fn(&mut m::PoseGraph, &mut Data),
-) -> Option<Result<LoadedMap<Planar>, MapConversionError>> {
+) -> Option<Result<LoadedMap<Space2d>, MapConversionError>> {
     let path = real_data("maps/reference/small_2d.pbstream")?;
     let mut contents = contents(&path);
     let folder = TempDir::new().unwrap();

@@ -8,7 +8,7 @@ use portolan_geometry::{Duration, Point3f, Rigid3, Time, rotation_from_roll_pitc
 use portolan_mapfile::{
     MapLoadSettings, PaintOptions, paint, read_map_2d, submap_textures_2d, write_graph, write_map_2d,
 };
-use portolan_mapping::{InitialTrajectoryPose, Map, Mapper, MapperSettings, Planar, TrajectoryId};
+use portolan_mapping::{InitialTrajectoryPose, Map, Mapper, MapperSettings, Space2d, TrajectoryId};
 use portolan_pbstream::{PbstreamReader, validate};
 use portolan_sensor::{
     FixedFramePoseData, LandmarkData, LandmarkObservation, Measurement, OdometryData, SensorId, SensorKind,
@@ -58,7 +58,7 @@ fn options(grid: GridType2d) -> Options {
 }
 
 /// Two trajectories with all kinds of sensors; the second starts relative to the first.
-fn map(options: &Options) -> Map<Planar> {
+fn map(options: &Options) -> Map<Space2d> {
     let sensors: BTreeSet<SensorId> = [
         SensorId::new(SensorKind::Range, "scan"),
         SensorId::new(SensorKind::Odometry, "odom"),
@@ -67,7 +67,7 @@ fn map(options: &Options) -> Map<Planar> {
     ]
     .into();
     let mut mapper =
-        Mapper::<Planar>::new(options, MapperSettings { threads: 1, ..MapperSettings::default() }).unwrap();
+        Mapper::<Space2d>::new(options, MapperSettings { threads: 1, ..MapperSettings::default() }).unwrap();
     for run in 0..2 {
         let initial = (run == 1).then(|| InitialTrajectoryPose {
             to_trajectory_id: TrajectoryId(0),
@@ -153,7 +153,7 @@ fn tilted_scanners_come_back_byte_by_byte_too() {
     let folder = TempDir::new().unwrap();
     let [first, second] = ["first.pbstream", "second.pbstream"].map(|name| folder.path().join(name));
     // The same map, as if the tracking frame were tilted at every node.
-    let mut tilted = portolan_mapping::PoseGraph::<Planar>::new(options.map_builder.pose_graph.clone());
+    let mut tilted = portolan_mapping::PoseGraph::<Space2d>::new(options.map_builder.pose_graph.clone());
     let state = map.graph.state();
     for id in map.trajectories.keys() {
         tilted.load_trajectory(*id, None);

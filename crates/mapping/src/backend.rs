@@ -270,17 +270,17 @@ mod tests {
     use portolan_config::Options;
 
     use super::*;
-    use crate::Planar;
+    use crate::Space2d;
 
     #[test]
     fn who_waits_for_the_end_is_told_how_far_it_is() {
         for threads in [1, 2] {
-            let graph = PoseGraph::<Planar>::new(Options::for_2d().map_builder.pose_graph);
+            let graph = PoseGraph::<Space2d>::new(Options::for_2d().map_builder.pose_graph);
             let backend = Backend::start(graph, threads).unwrap();
             // The last work ends only after that.
             let (sender, receiver) = unbounded();
             let last =
-                move |_: &mut PoseGraph<Planar>| receiver.recv_timeout(Duration::from_secs(60)).unwrap();
+                move |_: &mut PoseGraph<Space2d>| receiver.recv_timeout(Duration::from_secs(60)).unwrap();
             backend.finish(last, &mut |_| sender.send(()).unwrap_or_default()).unwrap();
         }
     }

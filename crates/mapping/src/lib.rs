@@ -14,12 +14,12 @@ mod mapper;
 mod node;
 mod place_finder_2d;
 mod place_finder_3d;
-mod planar;
 mod plane_search;
 mod pose_graph;
 mod remembered;
 mod space;
-mod spatial;
+mod space_2d;
+mod space_3d;
 mod stop;
 
 pub use backend::{BackendProgress, MapperError};
@@ -32,8 +32,8 @@ pub use node::Node;
 pub use portolan_lidar_odometry::SweepPoint;
 /// What local SLAM hands to the pose graph.
 pub use portolan_local_slam::{
-    ActiveSubmaps, GatheredVariance, InsertedNode, InsertionSubmap, LocalSlam, LocalSpace, Lost,
-    MatchAcceptance, MatchingResult, NodeData, OdometryBridge, Planar, Spatial,
+    ActiveSubmaps, GatheredVariance, InsertedNode, InsertionSubmap, LocalSlam, LocalSlamSpace, Lost,
+    MatchAcceptance, MatchingResult, NodeData, OdometryBridge, Space2d, Space3d,
 };
 pub use portolan_motion::{
     DegenerateInterval, DegenerateMotion, ExtrapolatorCounts, ExtrapolatorError, ImuMotion, MotionFilter,
@@ -49,4 +49,4 @@ pub use pose_graph::{
     TrajectoryState, TrimmedNode, TrimmedNodes, TrimmedTies, Trimmer, VoxelFate,
 };
 pub use space::{MatchedPose, Nearby, PlaceFinder, ProposedPlaces, SearchRegion, Space, SubmapInMap};
-pub use spatial::SpatialMatcher;
+pub use space_3d::SubmapMatcher3d;

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::NodeData;
 use crate::plane_search::{explained_at, explained_near};
-use crate::spatial::{solid_cells, to_find};
+use crate::space_3d::{solid_cells, to_find};
 
 /// Fewer nodes than this do not show the planes of a submap.
 const MIN_NODES: usize = 8;

@@ -1,4 +1,4 @@
-//! Where in a planar map a stretch of way was seen: all submaps searched at once.
+//! Where in a 2D map a stretch of way was seen: all submaps searched at once.
 
 use portolan_geometry::{NearFrame, Rigid3, embed_3d, project_2d};
 use portolan_matching::{PlaceIndex2d, WantedPlaces, joint_cloud_2d};
@@ -19,14 +19,14 @@ const WANTED: WantedPlaces = WantedPlaces {
     lookups: 2_000_000_000,
 };
 
-/// Finds stretches of way in a planar map.
-pub(crate) struct PlanarPlaces {
+/// Finds stretches of way in a 2D map.
+pub(crate) struct PlaceFinder2d {
     /// In which the index is.
     frame: NearFrame,
     index: PlaceIndex2d,
 }
 
-impl PlanarPlaces {
+impl PlaceFinder2d {
     /// In submaps; none if there is nothing to find scans by.
     pub fn new(submaps: &[SubmapInMap<'_, Submap2d>]) -> Option<Self> {
         let frame = NearFrame::around(submaps.iter().map(|part| part.map_from_submap.translation.vector));
@@ -42,7 +42,7 @@ impl PlanarPlaces {
     }
 }
 
-impl PlaceFinder for PlanarPlaces {
+impl PlaceFinder for PlaceFinder2d {
     fn find(&self, scans: &[(Rigid3, &NodeData)], most_lookups: u64) -> ProposedPlaces {
         let clouds = scans.iter().map(|(first_from_scan, node)| {
             (project_2d(first_from_scan), &node.filtered_gravity_aligned_point_cloud)
@@ -72,14 +72,14 @@ mod tests {
         let submaps = [submap(large), submap(small), submap(large)];
         let poses = [Rigid3::translation(-20.0, 0.0, 0.0), pose, Rigid3::translation(0.0, 25.0, 0.0)];
         let placed: Vec<_> = poses.into_iter().zip(&submaps).map(in_map).collect();
-        let places = PlanarPlaces::new(&placed).unwrap();
+        let places = PlaceFinder2d::new(&placed).unwrap();
         let (here, there) = (node(small, (0.5, -0.8)), node(small, (-1.0, 0.2)));
         let step = Rigid3::translation(-1.5, 1.0, 0.0);
         let found = places.find(&[(Rigid3::identity(), &here), (step, &there)], u64::MAX).poses;
         let truth = pose * Rigid3::translation(0.5, -0.8, 0.0);
         let off = truth.inverse() * found[0];
         assert!(off.translation.vector.norm() < 0.3 && off.rotation.angle() < 0.06, "{off:?}");
-        assert!(PlanarPlaces::new(&[]).is_none());
+        assert!(PlaceFinder2d::new(&[]).is_none());
     }
 
     #[test]
@@ -92,7 +92,7 @@ mod tests {
                 [Rigid3::translation(-20.0, 0.0, 0.0), Rigid3::new(Vector3::x() * 30.0, Vector3::z())];
             let placed: Vec<_> =
                 poses.iter().map(|pose| moved(pose, &origin)).zip(&submaps).map(in_map).collect();
-            let found = PlanarPlaces::new(&placed).unwrap().find(&[(Rigid3::identity(), &here)], u64::MAX);
+            let found = PlaceFinder2d::new(&placed).unwrap().find(&[(Rigid3::identity(), &here)], u64::MAX);
             found.poses.iter().map(|pose| moved(pose, &-origin)).collect::<Vec<_>>()
         };
         let (near, far) = (found(Vector3::zeros()), found(Vector3::new(499_712.0, 5_400_576.0, 0.0)));
@@ -109,7 +109,7 @@ mod tests {
         let poses = [Rigid3::identity(), Rigid3::translation(25.0, 3.0, 0.0)];
         let placed: Vec<_> = poses.into_iter().zip(&submaps).map(in_map).collect();
         let here = node(size, (1.0, 1.0));
-        let found = PlanarPlaces::new(&placed).unwrap().find(&[(Rigid3::identity(), &here)], u64::MAX).poses;
+        let found = PlaceFinder2d::new(&placed).unwrap().find(&[(Rigid3::identity(), &here)], u64::MAX).poses;
         for pose in poses {
             let truth = pose * Rigid3::translation(1.0, 1.0, 0.0);
             let off = |place: &Rigid3| (place.translation.vector - truth.translation.vector).norm();

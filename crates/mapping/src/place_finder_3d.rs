@@ -4,20 +4,20 @@ use portolan_geometry::{NearFrame, Point3f, Rigid3, to_f32};
 use portolan_submaps::Submap3d;
 
 use crate::from_above::{SeenFromAbove, columns_of_scans};
-use crate::spatial::solid_cells;
+use crate::space_3d::solid_cells;
 use crate::{NodeData, PlaceFinder, ProposedPlaces, SubmapInMap};
 
 /// What is farther from the scanner than this, metres, is seen by single beams.
 const REACH: f32 = 30.0;
 
 /// Finds stretches of way in a 3D map.
-pub(crate) struct SpatialPlaces {
+pub(crate) struct PlaceFinder3d {
     /// In which the picture from above is.
     frame: NearFrame,
     above: SeenFromAbove,
 }
 
-impl SpatialPlaces {
+impl PlaceFinder3d {
     /// In submaps that know their planes; none if there are others, or nothing to find scans by.
     pub fn new(submaps: &[SubmapInMap<'_, Submap3d>]) -> Option<Self> {
         if submaps.iter().any(|part| part.submap.planes_to_match().is_none()) {
@@ -36,7 +36,7 @@ impl SpatialPlaces {
     }
 }
 
-impl PlaceFinder for SpatialPlaces {
+impl PlaceFinder for PlaceFinder3d {
     fn find(&self, scans: &[(Rigid3, &NodeData)], most_lookups: u64) -> ProposedPlaces {
         let Some((_, first)) = scans.first().filter(|_| most_lookups > 0) else {
             return ProposedPlaces::default();

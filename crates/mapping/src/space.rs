@@ -8,7 +8,7 @@ use portolan_sensor::SensorId;
 use portolan_submaps::SearchWindow;
 
 use crate::mapper::MapperWork;
-use crate::{Constraint, LocalSlam, LocalSpace, MapperError, MatchAcceptance, NodeData, OpenShift};
+use crate::{Constraint, LocalSlam, LocalSlamSpace, MapperError, MatchAcceptance, NodeData, OpenShift};
 
 /// How far a node may be from where it is believed to be.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -90,8 +90,8 @@ pub struct ProposedPlaces {
     pub lookups: u64,
 }
 
-/// A space to map in: the planar or the full one. Poses cross this interface as [`Rigid3`].
-pub trait Space: LocalSpace {
+/// A space to map in: 2D or 3D. Poses cross this interface as [`Rigid3`].
+pub trait Space: LocalSlamSpace {
     /// What is precomputed from a finished submap to find nodes in it.
     type Matcher: Send + Sync + 'static;
 
@@ -105,7 +105,7 @@ pub trait Space: LocalSpace {
     const DIMENSION: Dimension;
 
     /// Whether the optimisation uses IMU samples, so that they are kept.
-    const OPTIMIZES_WITH_IMU: bool = matches!(Self::DIMENSION, Dimension::Three);
+    const OPTIMIZES_WITH_IMU: bool = matches!(Self::DIMENSION, Dimension::ThreeD);
 
     /// Whole maps are searched for scans so far along the way to either side of a node, metres.
     const STRETCH_METRES: f64;

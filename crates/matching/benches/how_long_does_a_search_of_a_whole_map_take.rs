@@ -1,4 +1,4 @@
-//! Where in a planar map of many rooms a scan was taken: a known room, and one that is not in the map.
+//! Where in a 2D map of many rooms a scan was taken: a known room, and one that is not in the map.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stderr)]
 
 #[path = "../tests/common/mod.rs"]

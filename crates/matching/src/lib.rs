@@ -3,8 +3,8 @@
 pub mod correlative;
 mod error;
 pub mod gradient;
-mod planar_transform;
 mod surface;
+mod transform_2d;
 
 #[cfg(test)]
 extern crate self as portolan_matching;
@@ -25,5 +25,5 @@ pub use gradient::{
     CloudInGrid, GradientMatch2d, GradientMatch3d, GradientMatcher2d, GradientMatcher3d,
     GradientMatcherOptions2d, GradientMatcherOptions3d, IntensityCostOptions,
 };
-pub use planar_transform::PlanarTransform;
 pub use surface::surface_tangents;
+pub use transform_2d::Transform2d;

@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn turns_in_the_plane_add_up() {
+    fn turns_in_2d_add_up() {
         let result = track(Vector3::new(0.0, 0.0, 9.9), Vector3::new(0.0, 0.0, 0.3), 0.3);
         let expected = Quaternion::from_axis_angle(&Vector3::z_axis(), 0.9);
         assert!(angular_distance(&result, &expected) < 1e-8);

@@ -92,7 +92,7 @@ pub struct OptimizationData {
     /// Fixed-frame origins.
     pub fixed_frame_origins: BTreeMap<TrajectoryId, FixedFrameOrigin>,
     /// Where somebody said that trajectories start: their first nodes and the poses of these.
-    pub told_starts: BTreeMap<NodeId, Rigid3>,
+    pub given_starts: BTreeMap<NodeId, Rigid3>,
     /// Trajectories that are not moved.
     pub frozen: BTreeSet<TrajectoryId>,
     /// Whether biases of IMUs are estimated and taken away, and fixes weighted by how far they scatter; Cartographer
@@ -138,7 +138,7 @@ impl OptimizationData {
         let landmarks =
             self.landmarks.values_mut().filter_map(|landmark| landmark.map_from_landmark.as_mut());
         let nodes = self.nodes.values_mut().map(|node| &mut node.map_from_node);
-        let starts = self.told_starts.values_mut();
+        let starts = self.given_starts.values_mut();
         for pose in self.submaps.values_mut().chain(nodes).chain(landmarks).chain(origins).chain(starts) {
             *pose = moved(pose, shift);
         }
@@ -170,7 +170,7 @@ impl OptimizationData {
             return;
         }
         self.open.remove(&node_id);
-        self.told_starts.remove(&node_id);
+        self.given_starts.remove(&node_id);
         let trajectory_id = node_id.trajectory_id;
         let previous =
             self.nodes.range(NodeId::new(trajectory_id, 0)..node_id).next_back().map(|(_, n)| n.time);

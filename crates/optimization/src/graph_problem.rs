@@ -1,4 +1,4 @@
-//! What the optimisation problems of the plane and of space have in common.
+//! What the optimisation problems in 2D and 3D have in common.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::marker::PhantomData;
@@ -209,8 +209,8 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
     }
 
     /// First nodes of trajectories lie about where somebody said.
-    pub fn add_told_starts(&mut self, data: &OptimizationData) {
-        for (id, pose) in &data.told_starts {
+    pub fn add_given_starts(&mut self, data: &OptimizationData) {
+        for (id, pose) in &data.given_starts {
             let is_frozen = data.frozen.contains(&id.trajectory_id);
             let Some(node) = self.nodes.get(id).copied().filter(|_| !is_frozen) else { continue };
             let told = S::add_pose(&mut self.problem, pose, Role::Frozen, self.options);

@@ -50,7 +50,7 @@ fn add_problem(question: &mut Fingerprint, data: &OptimizationData, constraints:
     for id in &data.anchors {
         question.add([id.trajectory_id.0, id.index]);
     }
-    for pose in data.told_starts.values() {
+    for pose in data.given_starts.values() {
         question.add(*pose);
     }
     question.add((data.doubts_sensors, data.max_iterations_override));

@@ -42,9 +42,9 @@ pub fn optimize_3d(
     if data.nodes.is_empty() || data.submaps.is_empty() {
         return OptimizationSummary::default();
     }
-    let mut problem = SpatialProblem::new(data, options);
+    let mut problem = GraphProblem3d::new(data, options);
     problem.graph.add_constraints(constraints, data);
-    problem.graph.add_told_starts(data);
+    problem.graph.add_given_starts(data);
     problem.graph.add_landmarks(data);
     problem.estimate_imu_biases(data);
     problem.add_consecutive_nodes(data);
@@ -62,14 +62,14 @@ struct ImuVariables {
     calibration: VariableId,
 }
 
-struct SpatialProblem<'a> {
-    graph: GraphProblem<'a, InSpace>,
+struct GraphProblem3d<'a> {
+    graph: GraphProblem<'a, ProblemSpace3d>,
     options: &'a OptimizationProblemOptions,
     imus: BTreeMap<TrajectoryId, ImuVariables>,
     imu_biases: BTreeMap<TrajectoryId, ImuBias>,
 }
 
-impl<'a> SpatialProblem<'a> {
+impl<'a> GraphProblem3d<'a> {
     fn new(data: &OptimizationData, options: &'a OptimizationProblemOptions) -> Self {
         let graph = GraphProblem::new(data, options);
         Self { graph, options, imus: BTreeMap::new(), imu_biases: BTreeMap::new() }
@@ -108,7 +108,7 @@ impl<'a> SpatialProblem<'a> {
         let measured = a.local_from_node.inverse() * b.local_from_node;
         let root = only_degenerate_translations(of, &measured, b.time.seconds_since(a.time));
         let Some(variables) = self.graph.node_pair(id_a, id_b) else { return };
-        InSpace::add_open_between(&mut self.graph.problem, variables, &measured, &root, Loss::None);
+        ProblemSpace3d::add_open_between(&mut self.graph.problem, variables, &measured, &root, Loss::None);
     }
 
     /// Where fixes, but no IMU, tell which way is up: the start is about level.
@@ -131,7 +131,7 @@ impl<'a> SpatialProblem<'a> {
             self.graph.problem.set_constant(map);
             let variables = [map, variable];
             let measured = Rigid3::from_parts(node.map_from_node.translation, level);
-            let factor = InSpace::between(variables, &measured, (0.0, weight));
+            let factor = ProblemSpace3d::between(variables, &measured, (0.0, weight));
             self.graph.add_factor(factor, Loss::None);
         }
     }
@@ -250,10 +250,10 @@ fn log_imu(id: TrajectoryId, state: &ImuState) {
     tracing::info!("IMU correction was: {degrees} deg ({}, {}, {}, {})", q.w, q.i, q.j, q.k);
 }
 
-/// Poses of space.
-struct InSpace;
+/// Poses in 3D.
+struct ProblemSpace3d;
 
-impl ProblemSpace for InSpace {
+impl ProblemSpace for ProblemSpace3d {
     type Between = factors::Se3Between;
     type Landmark = factors::Landmark3d;
 

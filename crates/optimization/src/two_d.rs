@@ -19,9 +19,9 @@ pub fn optimize_2d(
     if data.nodes.is_empty() || data.submaps.is_empty() {
         return OptimizationSummary::default();
     }
-    let mut problem = GraphProblem::<InPlane>::new(data, options);
+    let mut problem = GraphProblem::<ProblemSpace2d>::new(data, options);
     problem.add_constraints(constraints, data);
-    problem.add_told_starts(data);
+    problem.add_given_starts(data);
     problem.add_landmarks(data);
     for (first, second) in data.nodes.iter().zip(data.nodes.iter().skip(1)) {
         if follows(first.0, second.0) && !data.frozen.contains(&first.0.trajectory_id) {
@@ -34,10 +34,10 @@ pub fn optimize_2d(
     summary
 }
 
-/// Poses of the plane.
-struct InPlane;
+/// Poses in 2D.
+struct ProblemSpace2d;
 
-impl ProblemSpace for InPlane {
+impl ProblemSpace for ProblemSpace2d {
     type Between = factors::Se2Between;
     type Landmark = factors::Landmark2d;
 
@@ -76,11 +76,11 @@ impl ProblemSpace for InPlane {
         loss: Loss,
     ) -> bool {
         // Shifts along x and y and the turn about z.
-        let in_plane = root.remove_fixed_rows::<3>(2).remove_fixed_columns::<3>(2);
+        let root_in_2d = root.remove_fixed_rows::<3>(2).remove_fixed_columns::<3>(2);
         let factor = factors::Se2BetweenInformation {
             variables,
             measurement: project_2d(measured),
-            square_root_information: in_plane,
+            square_root_information: root_in_2d,
         };
         problem.add_factor(factor, loss).is_ok()
     }
@@ -160,7 +160,7 @@ mod tests {
             constraints.push(relate(KNOWN, id, seen, Some(OpenShift { direction })));
         }
         if is_told {
-            data.told_starts.insert(NodeId::new(NEW, 0), told);
+            data.given_starts.insert(NodeId::new(NEW, 0), told);
         }
         optimize_2d(&mut data, &constraints, &OptimizationProblemOptions::default());
         data.nodes.get(&NodeId::new(NEW, 0)).map(|node| node.map_from_node).unwrap()

@@ -7,7 +7,7 @@ use std::io::Write;
 use std::time::Duration;
 
 use portolan::geometry::{self, Dimension, Point3f};
-use portolan::mapping::{Mapper, MapperSettings, Planar};
+use portolan::mapping::{Mapper, MapperSettings, Space2d};
 use portolan::recording::{LaserScan, Message, Odometry, Recording};
 use portolan::sensor::{Measurement, OdometryData, SensorId, SensorKind, TimedPoint, TimedPointCloudData};
 use portolan::simulator::{ScenarioOptions, Simulation};
@@ -24,10 +24,10 @@ pub fn main() -> Result<(), Box<dyn Error>> {
         max_range_metres: 12.0,
         scans_hz: 10.0,
     };
-    let sensors = Sensors { has_odometry: true, ..Sensors::new(Dimension::Two, lidar, "base_link") };
+    let sensors = Sensors { has_odometry: true, ..Sensors::new(Dimension::TwoD, lidar, "base_link") };
     // A measurement never waits for the pose graph, which works in threads of its own.
     let live = MapperSettings { max_wait: Duration::ZERO, ..MapperSettings::default() };
-    let mut mapper = Mapper::<Planar>::new(&settings_for(&sensors), live)?;
+    let mut mapper = Mapper::<Space2d>::new(&settings_for(&sensors), live)?;
     let scanner = SensorId::new(SensorKind::Range, "scanner");
     let wheels = SensorId::new(SensorKind::Odometry, "wheels");
     let trajectory = mapper.add_trajectory(&[scanner.clone(), wheels.clone()].into(), None)?;

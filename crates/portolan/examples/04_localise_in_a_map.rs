@@ -7,7 +7,7 @@ use std::io::Write;
 
 use portolan::job::{Job, KnownMaps, Localisation, MapRequest, map, unobserved};
 use portolan::mapfile::FrozenTrajectories;
-use portolan::mapping::Planar;
+use portolan::mapping::Space2d;
 use portolan::simulator::{ScenarioOptions, Simulation};
 use portolan::worlds::two_d::Scene;
 
@@ -30,7 +30,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
     let request = MapRequest { known, ..MapRequest::new(folder.path().join("second_day")) };
     // The steps of `job::map`, to look at the map between them.
     let job = Job::prepare(&second_day, request, &mut unobserved)?;
-    let known = job.load_known::<Planar>(&mut unobserved)?;
+    let known = job.load_known::<Space2d>(&mut unobserved)?;
     let mapped = job.map(known, &mut unobserved)?;
 
     let mut out = std::io::stdout();

@@ -95,22 +95,22 @@ impl From<&RangeStatistics> for Lidar {
 /// Good options for these sensors, without a recording: those that are chosen for a recording with the same.
 pub fn settings_for(sensors: &Sensors) -> Options {
     let mut options = match sensors.dimension {
-        Dimension::Two => settings_2d(sensors),
-        Dimension::Three => settings_3d(sensors),
+        Dimension::TwoD => settings_2d(sensors),
+        Dimension::ThreeD => settings_3d(sensors),
     };
     options.bridge.tracking_frame.clone_from(&sensors.tracking_frame);
     options.bridge.use_odometry = sensors.has_odometry;
     options
 }
 
-/// Options for planar mapping with the sensors of a recording.
+/// Options for 2D mapping with the sensors of a recording.
 pub fn options_2d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
-    settings_for(&Sensors::of(plan, statistics, Dimension::Two))
+    settings_for(&Sensors::of(plan, statistics, Dimension::TwoD))
 }
 
 /// Options for mapping in 3D with the sensors of a recording.
 pub fn options_3d(plan: &SensorPlan, statistics: &SensorStatistics) -> Options {
-    settings_for(&Sensors::of(plan, statistics, Dimension::Three))
+    settings_for(&Sensors::of(plan, statistics, Dimension::ThreeD))
 }
 
 fn settings_2d(sensors: &Sensors) -> Options {

@@ -46,8 +46,8 @@ use portolan_atomic_file::{ResultFolder, require_room};
 use portolan_config::{Engine, little_effect};
 use portolan_geometry::Dimension;
 use portolan_ingest::IngestOptions;
-use portolan_mapfile::MapSpace;
-use portolan_mapping::{MapperSettings, Planar, Space, Spatial};
+use portolan_mapfile::MapFileSpace;
+use portolan_mapping::{MapperSettings, Space, Space2d, Space3d};
 use portolan_recording::Recording;
 
 /// Version of the keys of `report.json`, of every job.
@@ -287,7 +287,7 @@ impl<'a> Job<'a> {
     ///
     /// # Errors
     /// As [`KnownMaps::load`].
-    pub fn load_known<S: MapSpace>(&self, observe: &mut Observer) -> Result<KnownMap<S>, JobError> {
+    pub fn load_known<S: MapFileSpace>(&self, observe: &mut Observer) -> Result<KnownMap<S>, JobError> {
         self.request.known.load(&self.preparation.options, observe)
     }
 
@@ -295,7 +295,7 @@ impl<'a> Job<'a> {
     ///
     /// # Errors
     /// Fails if the recording cannot be read or holds not a single scan that can be used.
-    pub fn map<S: MapSpace + KnownMapSpace>(
+    pub fn map<S: MapFileSpace + KnownMapSpace>(
         &self,
         known: KnownMap<S>,
         observe: &mut Observer,
@@ -360,8 +360,8 @@ impl<'a> Job<'a> {
     /// As the steps.
     pub fn run(&self, observe: &mut Observer) -> Result<Finished, JobError> {
         match self.preparation.dimension {
-            Dimension::Two => self.run_in::<Planar>(observe),
-            Dimension::Three => self.run_in::<Spatial>(observe),
+            Dimension::TwoD => self.run_in::<Space2d>(observe),
+            Dimension::ThreeD => self.run_in::<Space3d>(observe),
         }
     }
 
@@ -406,8 +406,8 @@ fn thread_count(asked: usize, most: Option<usize>) -> usize {
 
 fn choose_engine(preparation: &mut Preparation, engine: Option<Engine>) -> Result<(), JobError> {
     let Some(engine) = engine else { return Ok(()) };
-    if preparation.dimension == Dimension::Two && engine == Engine::Planes {
-        return Err(JobError::PlanesInThePlane);
+    if preparation.dimension == Dimension::TwoD && engine == Engine::Planes {
+        return Err(JobError::PlaneEngineIn2d);
     }
     preparation.options.set_engine(engine);
     Ok(())

@@ -2,8 +2,8 @@
 
 use portolan_config::{Engine, Options};
 use portolan_geometry::Rigid3;
-use portolan_localization::{PlaceTracker, StartPose, place_tracker_in_space};
-use portolan_mapping::{GraphState, Mapper, MapperError, MatchingResult, Planar, Space, Spatial};
+use portolan_localization::{PlaceTracker, StartPose, place_tracker_3d};
+use portolan_mapping::{GraphState, Mapper, MapperError, MatchingResult, Space, Space2d, Space3d};
 
 use crate::pipeline::KnownMap;
 
@@ -18,7 +18,7 @@ pub trait KnownMapSpace: Space {
     ) -> Option<Box<dyn PlaceTracker<Self>>>;
 }
 
-impl KnownMapSpace for Planar {
+impl KnownMapSpace for Space2d {
     fn place_tracker(
         _: &GraphState<Self>,
         _: Option<Rigid3>,
@@ -29,7 +29,7 @@ impl KnownMapSpace for Planar {
     }
 }
 
-impl KnownMapSpace for Spatial {
+impl KnownMapSpace for Space3d {
     fn place_tracker(
         known: &GraphState<Self>,
         start: Option<Rigid3>,
@@ -37,7 +37,7 @@ impl KnownMapSpace for Spatial {
         threads: usize,
     ) -> Option<Box<dyn PlaceTracker<Self>>> {
         let is_wanted = options.engine() == Engine::Planes && !known.submaps.is_empty();
-        is_wanted.then(|| place_tracker_in_space(known, start.map(StartPose::new), threads))?
+        is_wanted.then(|| place_tracker_3d(known, start.map(StartPose::new), threads))?
     }
 }
 

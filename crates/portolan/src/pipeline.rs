@@ -215,15 +215,15 @@ pub fn prepare(
 ) -> Result<Preparation, PipelineError> {
     let inventory = Inventory::of(recording, ingest)?;
     let mut plan = plan(&inventory, ingest).map_err(IngestError::from)?;
-    if options.is_none() && plan.dimension == Dimension::Two {
+    if options.is_none() && plan.dimension == Dimension::TwoD {
         plan = doubt_scans(recording, &inventory, ingest, plan)?;
     }
-    if options.is_none() && plan.dimension == Dimension::Three {
-        plan = doubt_imu_in_space(recording, &inventory, ingest, plan)?;
+    if options.is_none() && plan.dimension == Dimension::ThreeD {
+        plan = doubt_imu_3d(recording, &inventory, ingest, plan)?;
     }
     let options = options.unwrap_or_else(|| match plan.dimension {
-        Dimension::Two => automatic::options_2d(&plan, &plan.statistics()),
-        Dimension::Three => automatic::options_3d(&plan, &plan.statistics()),
+        Dimension::TwoD => automatic::options_2d(&plan, &plan.statistics()),
+        Dimension::ThreeD => automatic::options_3d(&plan, &plan.statistics()),
     });
     let dimension = options.map_builder.dimension().map_err(|e| PipelineError::Setting(e.to_string()))?;
     Ok(Preparation {
@@ -300,7 +300,7 @@ fn doubt_imu(
 
 /// A plan in which the clock of the IMU is put right, or that leaves the IMU out, where turns of a lidar tell so. What somebody
 /// said of them stands.
-fn doubt_imu_in_space(
+fn doubt_imu_3d(
     recording: &dyn Recording,
     inventory: &Inventory,
     ingest: &IngestOptions,

@@ -69,7 +69,7 @@ impl Asked {
     }
 }
 
-/// A setting chooses between plane and space; a whole configuration does it later.
+/// A setting chooses between 2D and 3D; a whole configuration does it later.
 fn choose_dimension(ingest: &mut IngestOptions, options: &Options, asked: &Asked) {
     let names = ["map_builder.use_trajectory_builder_2d", "map_builder.use_trajectory_builder_3d"];
     if asked.everything || !names.iter().any(|name| asked.named.contains(*name)) {
@@ -81,7 +81,7 @@ fn choose_dimension(ingest: &mut IngestOptions, options: &Options, asked: &Asked
 fn choose_sensors(ingest: &mut IngestOptions, options: &Options, asked: &Asked) {
     let bridge = &options.bridge;
     let counts = ["num_laser_scans", "num_multi_echo_laser_scans", "num_point_clouds"];
-    // Without a configuration it is not known yet whether the option of the plane counts; local SLAM in the
+    // Without a configuration it is not known yet whether the option for 2D counts; local SLAM in the
     // plane leaves out what it must not use.
     let use_imu = asked.everything.then_some(
         options.map_builder.use_trajectory_builder_3d

@@ -4,7 +4,7 @@
 
 use portolan_geometry::{Rigid3, Time, is_valid_pose};
 use portolan_issue::{Issue, IssueKind, IssueLog};
-use portolan_mapfile::{MapConversionError, MapSpace, check_graph};
+use portolan_mapfile::{MapConversionError, MapFileSpace, check_graph};
 use portolan_mapping::PoseGraph;
 use portolan_pbstream::{FindingKind, Severity};
 
@@ -24,7 +24,7 @@ pub(crate) fn sound_poses(poses: Vec<(Time, Rigid3)>) -> Vec<(Time, Rigid3)> {
 }
 
 /// What is wrong with a pose graph that is to be written.
-pub(crate) fn unsoundness<S: MapSpace>(graph: &PoseGraph<S>) -> Result<IssueLog, MapConversionError> {
+pub(crate) fn unsoundness<S: MapFileSpace>(graph: &PoseGraph<S>) -> Result<IssueLog, MapConversionError> {
     let errors = check_graph(graph)?.into_iter().filter(|finding| finding.severity == Severity::Error);
     let issue = |finding: portolan_pbstream::Finding| {
         let kind = match finding.kind {
@@ -36,7 +36,7 @@ pub(crate) fn unsoundness<S: MapSpace>(graph: &PoseGraph<S>) -> Result<IssueLog,
     Ok(errors.map(issue).collect())
 }
 
-impl<S: MapSpace> MappedRecording<S> {
+impl<S: MapFileSpace> MappedRecording<S> {
     /// Judges the result, and counts what is wrong with it among the issues.
     pub(crate) fn judge(&mut self) -> Result<(), MapConversionError> {
         let left_out = |poses: Vec<(Time, Rigid3)>| poses.len() - sound_poses(poses).len();
@@ -58,7 +58,7 @@ mod tests {
 
     use portolan_config::Options;
     use portolan_geometry::{Quaternion, nalgebra};
-    use portolan_mapping::{NodeData, NodeId, Spatial, TrajectoryId};
+    use portolan_mapping::{NodeData, NodeId, Space3d, TrajectoryId};
     use portolan_sensor::PointCloud;
 
     use super::*;
@@ -74,7 +74,7 @@ mod tests {
 
     /// Kinds of what is wrong with a graph of two nodes, at these seconds and places.
     fn wrong_with(nodes: [(f64, f64); 2]) -> Vec<IssueKind> {
-        let mut graph = PoseGraph::<Spatial>::new(Options::for_3d().map_builder.pose_graph);
+        let mut graph = PoseGraph::<Space3d>::new(Options::for_3d().map_builder.pose_graph);
         graph.load_trajectory(TrajectoryId(0), None);
         for (i, (seconds, x)) in nodes.into_iter().enumerate() {
             let pose = Rigid3::translation(x, 0.0, 0.0);

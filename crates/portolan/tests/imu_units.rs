@@ -39,7 +39,7 @@ fn planned(world: &World, change: fn(&mut Imu)) -> (Option<PlannedImu>, Vec<Stri
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("drive.bag");
     let mut writer = Changed { inner: create(&bag, None).unwrap(), change };
-    let in_space = |scene| {
+    let in_3d = |scene| {
         let mut options = Scenario3dOptions::new(scene, 1, 1);
         options.duration = Some(20.0);
         options.lidars.iter_mut().for_each(|lidar| lidar.beams.columns = 450);
@@ -50,8 +50,8 @@ fn planned(world: &World, change: fn(&mut Imu)) -> (Option<PlannedImu>, Vec<Stri
             let options = ScenarioOptions { duration: Some(60.0), ..ScenarioOptions::new(Scene::Office, 3) };
             Simulation::new(options).unwrap().write_messages(&mut writer)
         }
-        World::Tunnel => in_space(Scene3d::Tunnel).write_messages(&mut writer),
-        World::Museum => in_space(Scene3d::Museum).write_messages(&mut writer),
+        World::Tunnel => in_3d(Scene3d::Tunnel).write_messages(&mut writer),
+        World::Museum => in_3d(Scene3d::Museum).write_messages(&mut writer),
     };
     written.unwrap();
     Box::new(writer).finish().unwrap();

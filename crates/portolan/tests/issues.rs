@@ -4,7 +4,7 @@
 use portolan::geometry::{Duration, Time};
 use portolan::issue::{Issue, IssueKind, IssueLog};
 use portolan::job::{MapRequest, map, unobserved};
-use portolan::mapping::{Mapper, MapperSettings, Planar};
+use portolan::mapping::{Mapper, MapperSettings, Space2d};
 use portolan::pipeline::{KnownMap, map_recording, prepare};
 use portolan::recording::{Header, LaserScan, MemoryRecording, Message, RecordedMessage};
 use portolan::sensor::{ImuData, Measurement, SensorId, SensorKind};
@@ -43,7 +43,7 @@ fn room(late: &[(u32, f64)]) -> MemoryRecording {
 fn mapped(known_issues: IssueLog, late: &[(u32, f64)]) -> (bool, Vec<Issue>) {
     let recording = room(late);
     let preparation = prepare(&recording, &Default::default(), None).unwrap();
-    let known = KnownMap { issues: known_issues, ..KnownMap::<Planar>::empty(&preparation.options) };
+    let known = KnownMap { issues: known_issues, ..KnownMap::<Space2d>::empty(&preparation.options) };
     let mapped = map_recording(
         &recording,
         &Default::default(),
@@ -70,7 +70,7 @@ fn what_was_lost_of_a_known_map_counts() {
 #[test]
 fn what_was_lost_in_mapping_counts() {
     let scans = SensorId::new(SensorKind::Range, "scan");
-    let mut mapper = Mapper::<Planar>::new(&Default::default(), MapperSettings::default()).unwrap();
+    let mut mapper = Mapper::<Space2d>::new(&Default::default(), MapperSettings::default()).unwrap();
     let id = mapper.add_trajectory(&[scans].into(), None).unwrap();
     let stranger = SensorId::new(SensorKind::Imu, "stranger");
     let sample = ImuData {

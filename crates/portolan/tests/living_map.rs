@@ -11,7 +11,7 @@ use portolan::geometry::{Duration, Rigid3, Vector2, Vector3};
 use portolan::job::{LocalizeRequest, LocalizedRecording, SaveMap, SavedMap, localize, unobserved};
 use portolan::localization::{ChangeKind, Growth, GrowthError};
 use portolan::mapfile::{LoadedMap, MapLoadSettings, info, read_map_2d};
-use portolan::mapping::Planar;
+use portolan::mapping::Space2d;
 use portolan::pbstream::MapReader;
 use portolan::recording::Recording;
 use portolan::simulator::{ScenarioOptions, Simulation};
@@ -71,12 +71,12 @@ fn find(
     localize(recording, &request, &mut unobserved).unwrap()
 }
 
-fn read(path: &Path) -> LoadedMap<Planar> {
+fn read(path: &Path) -> LoadedMap<Space2d> {
     read_map_2d(path, &MapLoadSettings::default()).unwrap()
 }
 
 /// The poses of the first trajectory of a map.
-fn first_poses(map: &LoadedMap<Planar>) -> Vec<(u32, Rigid3)> {
+fn first_poses(map: &LoadedMap<Space2d>) -> Vec<(u32, Rigid3)> {
     let nodes = map.graph.state().nodes.iter().filter(|(id, _)| id.trajectory_id.0 == 0);
     nodes.map(|(id, node)| (id.index, node.map_from_tracking)).collect()
 }

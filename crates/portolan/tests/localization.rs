@@ -14,9 +14,9 @@ use portolan::job::{
     Found, JobError, LOCALIZED_FILES, LocalizeRequest, LocalizedRecording, MapRequest, OutputFolder, Start,
     examine_map, localize, map, unobserved, write_localized,
 };
-use portolan::localization::{Change, ChangeKind, KnownMapError, PlanarMap, Reason, StartPose, State};
+use portolan::localization::{Change, ChangeKind, KnownMap2d, KnownMapError, Reason, StartPose, State};
 use portolan::mapfile::{MapLoadSettings, read_map_2d, write_map_2d};
-use portolan::mapping::{GraphState, Planar};
+use portolan::mapping::{GraphState, Space2d};
 use portolan::recording::{Recording, RecordingWriter, create, open_all};
 use portolan::simulator::{ScenarioOptions, Simulation};
 use portolan::worlds::two_d::{Material, Scene, Shape};
@@ -68,7 +68,7 @@ fn covariances_are_about_what_errors_are() {
             let error = known().truth(&today, e.time).unwrap().inverse() * place.map_from_tracking;
             let in_map = place.map_from_tracking.rotation * error.translation.vector;
             let error = Vector3::new(in_map.x, in_map.y, error.rotation.euler_angles().2);
-            (error.transpose() * place.planar_covariance().try_inverse().unwrap() * error)[(0, 0)]
+            (error.transpose() * place.covariance_2d().try_inverse().unwrap() * error)[(0, 0)]
         })
         .collect();
     let within = squares.iter().filter(|s| **s < 7.815).count() as f64 / squares.len() as f64;
@@ -213,7 +213,7 @@ fn results_do_not_depend_on_the_number_of_threads() {
 
 #[test]
 fn bad_maps_are_told_as_what_they_are() {
-    let empty = PlanarMap::new(&GraphState::<Planar>::default());
+    let empty = KnownMap2d::new(&GraphState::<Space2d>::default());
     assert!(matches!(empty, Err(KnownMapError::Empty)));
     let folder = tempfile::tempdir().unwrap();
     let damaged = folder.path().join("damaged.pbstream");

@@ -9,21 +9,21 @@ use portolan::recording::{
 use portolan::simulator::{ScenarioOptions, Simulation};
 use portolan::worlds::two_d::Scene;
 
-/// Writes odometry as `told` tells its pose.
-struct Told {
+/// Writes odometry with its poses changed.
+struct DistortedOdometry {
     inner: Box<dyn RecordingWriter>,
-    told: fn(Rigid2) -> Rigid2,
+    distort: fn(Rigid2) -> Rigid2,
 }
 
 fn rigid(pose: &Pose) -> Rigid3 {
     pose_from_xyz_quaternion(pose.position, pose.orientation_xyzw).unwrap()
 }
 
-impl RecordingWriter for Told {
+impl RecordingWriter for DistortedOdometry {
     fn write(&mut self, message: &RecordedMessage) -> Result<(), RecordingError> {
         let mut message = message.clone();
         if let Message::Odometry(odometry) = &mut message.message {
-            let pose = embed_3d(&(self.told)(project_2d(&rigid(&odometry.pose))));
+            let pose = embed_3d(&(self.distort)(project_2d(&rigid(&odometry.pose))));
             odometry.pose.position = pose.translation.vector.into();
             odometry.pose.orientation_xyzw = pose.rotation.coords.into();
         }
@@ -36,12 +36,12 @@ impl RecordingWriter for Told {
 }
 
 /// What is said of odometry before a drive through an office is mapped, and whether it is used.
-fn said_of(told: fn(Rigid2) -> Rigid2, ingest: &IngestOptions) -> (String, bool) {
+fn said_of(distort: fn(Rigid2) -> Rigid2, ingest: &IngestOptions) -> (String, bool) {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("drive.bag");
     let options = ScenarioOptions { duration: Some(90.0), ..ScenarioOptions::new(Scene::Office, 3) };
     let drive = Simulation::new(options).unwrap();
-    let mut writer = Told { inner: create(&bag, None).unwrap(), told };
+    let mut writer = DistortedOdometry { inner: create(&bag, None).unwrap(), distort };
     drive.write_messages(&mut writer).unwrap();
     Box::new(writer).finish().unwrap();
     let recording = open_all(&[bag]).unwrap();
@@ -61,7 +61,7 @@ fn turned(pose: Rigid2) -> Rigid2 {
 fn odometry_that_moves_otherwise_than_scans_is_named_and_left_out() {
     let free = IngestOptions::default();
     assert_eq!(said_of(|pose| pose, &free), (String::new(), true));
-    for (told, words) in [
+    for (distort, words) in [
         (turned as fn(Rigid2) -> Rigid2, "times as far as scans, 90° to the right of them"),
         (
             |pose| Rigid2::new(pose.translation.x, -pose.translation.y, -pose.angle),
@@ -73,7 +73,7 @@ fn odometry_that_moves_otherwise_than_scans_is_named_and_left_out() {
             "times as far as scans: it is left out",
         ),
     ] {
-        let (said, is_used) = said_of(told, &free);
+        let (said, is_used) = said_of(distort, &free);
         assert!(said.contains(words) && !is_used, "{words}: {said}");
     }
     let wanted = IngestOptions { odometry_topic: Some("/odom".to_owned()), ..free };

@@ -14,7 +14,7 @@ use std::fmt::Debug;
 use std::sync::Mutex;
 
 use portolan::config::Options;
-use portolan::mapping::{Planar, Space, Spatial};
+use portolan::mapping::{Space, Space2d, Space3d};
 use portolan::sensor::Measurement;
 use tracing::field::{Field, Visit};
 use tracing::{Event, Metadata, Subscriber, span};
@@ -53,7 +53,7 @@ impl Subscriber for Collector {
 
 /// Lines that a run logs and that begin like this.
 fn logged<S: Space>(settings: &[&str], beginning: &str) -> usize {
-    let space = std::any::type_name::<S>().ends_with("Spatial");
+    let space = std::any::type_name::<S>().ends_with("Space3d");
     let mut options = if space { Options::for_3d() } else { Options::for_2d() };
     for setting in [
         "trajectory_builder_2d.submaps.num_range_data=3",
@@ -73,12 +73,12 @@ fn logged<S: Space>(settings: &[&str], beginning: &str) -> usize {
         let place = world::on_circle(seconds);
         if space {
             measurements.push(Measurement::Imu(world::imu(seconds, 0.0, 0.4)));
-            measurements.push(Measurement::Range(world::spatial_scan(&place, seconds)));
+            measurements.push(Measurement::Range(world::scan_3d(&place, seconds)));
             let between = (1..6).map(|i| world::imu(seconds + 0.1 * f64::from(i), 0.0, 0.4));
             measurements.extend(between.map(Measurement::Imu));
         } else {
             measurements.push(Measurement::Odometry(world::odometry(place, seconds)));
-            measurements.push(Measurement::Range(world::planar_scan(&place, seconds)));
+            measurements.push(Measurement::Range(world::scan_2d(&place, seconds)));
         }
     }
     LINES.lock().unwrap().clear();
@@ -90,32 +90,32 @@ fn logged<S: Space>(settings: &[&str], beginning: &str) -> usize {
 fn options_of_logs_have_their_effects() {
     tracing::subscriber::set_global_default(Collector).unwrap();
     for beginning in ["Node ", "Scores of matches"] {
-        assert!(logged::<Planar>(&["log_matches=true"], beginning) > 0, "{beginning}");
-        assert_eq!(logged::<Planar>(&["log_matches=false"], beginning), 0, "{beginning}");
+        assert!(logged::<Space2d>(&["log_matches=true"], beginning) > 0, "{beginning}");
+        assert_eq!(logged::<Space2d>(&["log_matches=false"], beginning), 0, "{beginning}");
     }
     for beginning in ["Gravity was: ", "IMU correction was: "] {
         let logs = |value: &str| {
             let setting = format!("log_solver_summary={value}");
-            logged::<Spatial>(&[&setting, "constraint_builder.sampling_ratio=0"], beginning)
+            logged::<Space3d>(&[&setting, "constraint_builder.sampling_ratio=0"], beginning)
         };
         assert!(logs("true") > 0, "{beginning}");
         assert_eq!(logs("false"), 0, "{beginning}");
     }
-    assert!(logged::<Planar>(&["log_solver_summary=true"], "Summary") > 0);
-    assert_eq!(logged::<Planar>(&["log_solver_summary=false"], "Summary"), 0);
+    assert!(logged::<Space2d>(&["log_solver_summary=true"], "Summary") > 0);
+    assert_eq!(logged::<Space2d>(&["log_solver_summary=false"], "Summary"), 0);
     let residuals = "Rotation residuals within submaps";
     assert!(
-        logged::<Spatial>(
+        logged::<Space3d>(
             &["log_residual_histograms=true", "constraint_builder.sampling_ratio=0"],
             residuals
         ) > 0
     );
     assert_eq!(
-        logged::<Spatial>(
+        logged::<Space3d>(
             &["log_residual_histograms=false", "constraint_builder.sampling_ratio=0"],
             residuals
         ),
         0
     );
-    assert_eq!(logged::<Planar>(&["log_residual_histograms=true"], residuals), 0, "only in 3D");
+    assert_eq!(logged::<Space2d>(&["log_residual_histograms=true"], residuals), 0, "only in 3D");
 }

@@ -236,7 +236,7 @@ impl Wheels {
     }
 }
 
-fn planar_pose([x, y, heading]: [f64; 3]) -> Pose {
+fn pose_2d([x, y, heading]: [f64; 3]) -> Pose {
     let (sin, cos) = (heading / 2.0).sin_cos();
     Pose { position: [x, y, 0.0], orientation_xyzw: [0.0, 0.0, sin, cos] }
 }
@@ -245,7 +245,7 @@ fn laser_on_robot(stamp: Time) -> Message {
     let transform = TransformStamped {
         header: Header { stamp, frame_id: "base_link".into() },
         child_frame_id: "laser".into(),
-        transform: planar_pose([LASER_AHEAD, 0.0, 0.0]),
+        transform: pose_2d([LASER_AHEAD, 0.0, 0.0]),
     };
     Message::Tf(TfMessage { is_static: true, transforms: vec![transform] })
 }
@@ -254,7 +254,7 @@ fn odometry(stamp: Time, pose: [f64; 3]) -> Message {
     Message::Odometry(Odometry {
         header: Header { stamp, frame_id: "odom".into() },
         child_frame_id: "base_link".into(),
-        pose: planar_pose(pose),
+        pose: pose_2d(pose),
         pose_covariance: vec![0.0; 36],
         linear_velocity: [0.0; 3],
         angular_velocity: [0.0; 3],

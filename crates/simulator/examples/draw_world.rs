@@ -94,7 +94,7 @@ fn points(simulation: &Simulation, scan: &LaserScan) -> Vec<Vector2> {
         let angle = f64::from(scan.angle_min) + i as f64 * f64::from(scan.angle_increment);
         let in_lidar = portolan_geometry::Vector3::new(angle.cos(), angle.sin(), 0.0) * f64::from(*range);
         let time = start + i as f64 * f64::from(scan.time_increment);
-        let map_from_base = simulation.walk().planar(time).map_from_base();
+        let map_from_base = simulation.walk().state_2d(time).map_from_base();
         (map_from_base * base_from_lidar * portolan_geometry::nalgebra::Point3::from(in_lidar)).coords.xy()
     });
     in_map.collect()
@@ -112,12 +112,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     let steps = (walk.duration() / 0.02) as usize;
     for i in 0..steps {
         let share = (255.0 * i as f64 / steps as f64) as u8;
-        canvas.dot(&walk.planar(0.02 * i as f64).position, 0, [share, 200 - share / 2, 60]);
+        canvas.dot(&walk.state_2d(0.02 * i as f64).position, 0, [share, 200 - share / 2, 60]);
     }
     for shape in simulation.world().fixed().shapes() {
         canvas.shape(shape);
     }
-    let robot = walk.planar(seconds).position;
+    let robot = walk.state_2d(seconds).position;
     for leg in simulation.world().people().iter().flat_map(|person| person.legs(seconds, &robot)) {
         canvas.shape(&leg);
     }

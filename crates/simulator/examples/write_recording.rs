@@ -30,7 +30,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let planned = begin.elapsed();
     let name = argument(3, "-");
     let count = if name == "-" { make_all(&simulation)? } else { write_all(&simulation, Path::new(name))? };
-    let metres = simulation.walk().planar(simulation.duration()).travelled;
+    let metres = simulation.walk().state_2d(simulation.duration()).travelled;
     writeln!(
         std::io::stdout(),
         "{}: {:.0} s, {metres:.0} m, {count} messages; planned in {planned:.2?}, all in {:.2?}",

@@ -115,7 +115,7 @@ impl Simulation {
     pub fn truth_at(&self, time: Time) -> Option<Rigid3> {
         let is_within = (self.start_time()..=self.end_time()).contains(&time);
         is_within.then(|| {
-            self.inner.timeline.motion.planar(self.inner.timeline.clock.seconds(time)).map_from_base()
+            self.inner.timeline.motion.state_2d(self.inner.timeline.clock.seconds(time)).map_from_base()
         })
     }
 

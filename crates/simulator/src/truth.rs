@@ -40,7 +40,7 @@ impl Simulation {
         }
         let mut time = 0.0;
         while time < self.walk().duration() {
-            picture.fill_free(&self.walk().planar(time).position);
+            picture.fill_free(&self.walk().state_2d(time).position);
             time += 0.5;
         }
         picture

@@ -4,7 +4,7 @@ mod inertial;
 mod lidar;
 mod motion;
 mod recording;
-mod spatial;
+mod simulation_3d;
 mod truth;
 
 #[test]

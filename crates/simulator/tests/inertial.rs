@@ -26,7 +26,7 @@ fn odometry_messages(simulation: &Simulation) -> Vec<Odometry> {
     messages(simulation, "/odom", |m| if let Message::Odometry(odometry) = m { Some(odometry) } else { None })
 }
 
-fn planar(odometry: &Odometry) -> Rigid2 {
+fn pose_2d(odometry: &Odometry) -> Rigid2 {
     let [x, y, _] = odometry.pose.position;
     let [_, _, z, w] = odometry.pose.orientation_xyzw;
     Rigid2::new(x, y, 2.0 * z.atan2(w))
@@ -72,7 +72,7 @@ fn a_perfect_imu_integrates_to_the_truth() {
         let last = samples.last().unwrap().header.stamp;
         let error = end.inverse() * simulation.truth_at(last).unwrap();
         assert!(error.translation.vector.norm() < 0.01 && error.rotation.angle() < 1e-4, "{error}");
-        let walked = simulation.walk().planar(60.0).travelled;
+        let walked = simulation.walk().state_2d(60.0).travelled;
         assert!(walked > 20.0);
     }
 }
@@ -112,7 +112,7 @@ fn perfect_wheels_follow_the_truth() {
     let odometry = odometry_messages(&simulation);
     assert_eq!(odometry.len(), 6001);
     for message in odometry.iter().step_by(50) {
-        let error = (start * planar(message)).inverse() * truth(&simulation, message.header.stamp);
+        let error = (start * pose_2d(message)).inverse() * truth(&simulation, message.header.stamp);
         assert!(error.translation.norm() < 0.01 && error.normalized_angle().abs() < 1e-6);
         let state = simulation.motion_at(message.header.stamp).unwrap();
         assert!((message.linear_velocity[0] - state.velocity_in_map.norm()).abs() < 0.02);
@@ -133,12 +133,12 @@ fn drift(options: &OdometryOptions, seed: u64) -> (f64, f64) {
     for (i, from) in odometry.iter().enumerate().step_by(500) {
         let travelled = |m: &Odometry| {
             let seconds = m.header.stamp.seconds_since(simulation.start_time());
-            simulation.walk().planar(seconds).travelled
+            simulation.walk().state_2d(seconds).travelled
         };
         let Some(to) = odometry.iter().skip(i).find(|to| travelled(to) - travelled(from) >= 10.0) else {
             break;
         };
-        let measured = planar(from).inverse() * planar(to);
+        let measured = pose_2d(from).inverse() * pose_2d(to);
         let exact = truth(&simulation, from.header.stamp).inverse() * truth(&simulation, to.header.stamp);
         let error = exact.inverse() * measured;
         translation += error.translation.norm() / 10.0;

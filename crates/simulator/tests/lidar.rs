@@ -269,7 +269,7 @@ fn beams_meet_walls_or_the_legs_of_people_where_they_are_at_that_time() {
         let returns = scan.ranges.iter().enumerate().filter(|(_, r)| r.is_finite()).map(|(beam, _)| beam);
         for (beam, point) in returns.zip(undistorted(&simulation, &scan)) {
             let time = start + beam as f64 * f64::from(scan.time_increment);
-            let robot = simulation.walk().planar(time).position;
+            let robot = simulation.walk().state_2d(time).position;
             let legs: Vec<_> =
                 simulation.world().people().iter().flat_map(|person| person.legs(time, &robot)).collect();
             let nearest = |shapes: &[portolan_worlds::two_d::Shape]| {

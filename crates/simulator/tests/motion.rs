@@ -17,7 +17,7 @@ fn check_smooth(walk: &Walk, limits: &MotionLimits) -> f64 {
         let numeric_acceleration = (after.velocity_in_map - before.velocity_in_map) / (2.0 * h);
         assert!((numeric_velocity - now.velocity_in_map).norm() < 1e-4, "velocity at {time}");
         assert!((numeric_acceleration - now.acceleration_in_map).norm() < 1e-3, "acceleration at {time}");
-        let (p, q, r) = (walk.planar(time - h), walk.planar(time), walk.planar(time + h));
+        let (p, q, r) = (walk.state_2d(time - h), walk.state_2d(time), walk.state_2d(time + h));
         assert!(((r.heading - p.heading) / (2.0 * h) - q.turn_rate).abs() < 1e-4, "turn rate at {time}");
         assert!(((r.turn_rate - p.turn_rate) / (2.0 * h) - q.turn_acceleration).abs() < 2e-3);
         assert!(((r.travelled - p.travelled) / (2.0 * h) - q.speed).abs() < 1e-4, "way at {time}");
@@ -26,7 +26,7 @@ fn check_smooth(walk: &Walk, limits: &MotionLimits) -> f64 {
         assert!(q.turn_rate.abs() <= limits.turn_rate + 1e-9);
         assert!(q.turn_acceleration.abs() <= limits.turn_acceleration + 1e-9);
     }
-    walk.planar(walk.duration()).travelled
+    walk.state_2d(walk.duration()).travelled
 }
 
 #[test]
@@ -37,12 +37,12 @@ fn tours_are_smooth_clear_of_walls_and_come_home() {
             let walk = simulation.walk();
             let metres = check_smooth(walk, &MotionLimits::default());
             assert!(metres > 100.0, "{scene} {seed}: {metres}");
-            let (start, end) = (walk.planar(0.0), walk.planar(walk.duration()));
+            let (start, end) = (walk.state_2d(0.0), walk.state_2d(walk.duration()));
             assert!((start.position - end.position).norm() < 1e-9 && end.speed == 0.0);
             let shapes = simulation.world().fixed().shapes();
             let mut nearest = f64::INFINITY;
             for i in 0..(walk.duration() / 0.25) as usize {
-                let at = walk.planar(0.25 * i as f64).position;
+                let at = walk.state_2d(0.25 * i as f64).position;
                 let distance = shapes.iter().map(|s| s.distance(&at)).fold(f64::INFINITY, f64::min);
                 nearest = nearest.min(distance);
             }
@@ -57,7 +57,7 @@ fn an_office_tour_enters_most_open_rooms_and_closes_loops() {
         let simulation = Simulation::new(ScenarioOptions::new(Scene::Office, seed)).unwrap();
         let (walk, plan) = (simulation.walk(), simulation.plan());
         let seconds = walk.duration() as usize;
-        let places: Vec<Vector2> = (0..seconds).map(|t| walk.planar(t as f64).position).collect();
+        let places: Vec<Vector2> = (0..seconds).map(|t| walk.state_2d(t as f64).position).collect();
         let is_visited = |place: &Vector2| places.iter().any(|p| (p - place).norm() < 1.5);
         let rooms: Vec<Vector2> = plan.places.iter().filter(|p| p.is_room).map(|p| p.position).collect();
         let visited = rooms.iter().filter(|room| is_visited(room)).count();
@@ -80,15 +80,15 @@ fn durations_are_kept() {
         assert_eq!(simulation.duration(), duration);
         let walk = simulation.walk();
         if duration >= 90.0 {
-            let (start, end) = (walk.planar(0.0), walk.planar(duration));
+            let (start, end) = (walk.state_2d(0.0), walk.state_2d(duration));
             let off = (start.position - end.position).norm();
             assert!(off < 1e-9, "{off} m from home after {duration} s of {}", walk.duration());
             assert!((walk.duration() - duration).abs() < 1e-6, "{} of {duration} s", walk.duration());
             // It does not stand about for long at the end.
-            let moved = walk.planar(duration).travelled - walk.planar(0.75 * duration - 10.0).travelled;
+            let moved = walk.state_2d(duration).travelled - walk.state_2d(0.75 * duration - 10.0).travelled;
             assert!(moved > 1.0, "moved {moved} m in the last quarter of {duration} s");
         }
-        assert!(walk.planar(0.9 * duration).travelled > 0.3 * duration.min(8.0) - 1.0);
+        assert!(walk.state_2d(0.9 * duration).travelled > 0.3 * duration.min(8.0) - 1.0);
     }
 }
 
@@ -108,11 +108,11 @@ fn stops_are_reached_and_odd_waypoints_survived() {
     let walk = Walk::through(&points, &limits, 1.0, None).unwrap();
     check_smooth(&walk, &limits);
     let stands_at_stop = (0..(walk.duration() / 0.1) as usize).any(|i| {
-        let state = walk.planar(0.1 * i as f64);
+        let state = walk.state_2d(0.1 * i as f64);
         state.speed == 0.0 && (state.position - Vector2::new(2.0, 2.0)).norm() < 1e-9
     });
     assert!(stands_at_stop);
-    assert!((walk.planar(1e9).position - Vector2::new(-1.0, 0.5)).norm() < 1e-9);
+    assert!((walk.state_2d(1e9).position - Vector2::new(-1.0, 0.5)).norm() < 1e-9);
     assert!(Walk::through(&[], &limits, 1.0, None).is_none());
     assert!(Walk::through(&points, &MotionLimits { speed: 0.0, ..limits }, 1.0, None).is_none());
     assert!(Walk::through(&[waypoint(f64::NAN, 0.0, None)], &limits, 1.0, None).is_none());
@@ -130,7 +130,7 @@ fn small_and_crowded_and_large_buildings_can_be_walked() {
                 ..ScenarioOptions::new(scene, seed)
             };
             let simulation = Simulation::new(small).unwrap();
-            let metres = simulation.walk().planar(simulation.duration()).travelled;
+            let metres = simulation.walk().state_2d(simulation.duration()).travelled;
             assert!(metres > 5.0, "{scene} {seed}: {metres} m");
         }
         let large = ScenarioOptions {
@@ -139,6 +139,6 @@ fn small_and_crowded_and_large_buildings_can_be_walked() {
             ..ScenarioOptions::new(scene, 1)
         };
         let simulation = Simulation::new(large).unwrap();
-        assert!(simulation.walk().planar(200.0).travelled > 40.0);
+        assert!(simulation.walk().state_2d(200.0).travelled > 40.0);
     }
 }

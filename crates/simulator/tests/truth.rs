@@ -54,7 +54,7 @@ fn the_occupancy_picture_has_walls_where_scans_end_and_freedom_where_the_robot_i
         let simulation = simulation(scene);
         let picture = simulation.occupancy(0.05);
         for i in 0..60 {
-            let at = simulation.walk().planar(f64::from(i)).position;
+            let at = simulation.walk().state_2d(f64::from(i)).position;
             assert_eq!(picture.pixel_at(&at), Some(OccupancyPicture::FREE), "{scene} at {at}");
         }
         let count = |value| picture.pixels.iter().filter(|p| **p == value).count();

@@ -21,13 +21,13 @@ fn measure<P: GraphPose>(
 
 fn pose_graphs(watch: &Stopwatch) {
     use Initialization::{Automatic, FromFile, RotationsFirst};
-    let planar = city::city_2d(3500, 0.5);
-    measure(watch, "2d_3500_from_dead_reckoning", &planar, FromFile);
-    measure(watch, "2d_3500_automatic", &planar, Automatic);
-    let spatial = city::city_3d(2500, 1.0);
-    measure(watch, "3d_2500_from_dead_reckoning", &spatial, FromFile);
-    measure(watch, "3d_2500_rotations_first", &spatial, RotationsFirst);
-    measure(watch, "3d_2500_automatic", &spatial, Automatic);
+    let city_2d = city::city_2d(3500, 0.5);
+    measure(watch, "2d_3500_from_dead_reckoning", &city_2d, FromFile);
+    measure(watch, "2d_3500_automatic", &city_2d, Automatic);
+    let city_3d = city::city_3d(2500, 1.0);
+    measure(watch, "3d_2500_from_dead_reckoning", &city_3d, FromFile);
+    measure(watch, "3d_2500_rotations_first", &city_3d, RotationsFirst);
+    measure(watch, "3d_2500_automatic", &city_3d, Automatic);
     measure(watch, "3d_10000_from_dead_reckoning", &city::city_3d(10_000, 1.0), FromFile);
 }
 

@@ -1,4 +1,4 @@
-//! How fast is a small fit? A planar pose from 500 noisy pairs of points, in the shape of scan matching.
+//! How fast is a small fit? A 2D pose from 500 noisy pairs of points, in the shape of scan matching.
 
 #![allow(missing_docs)]
 

@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             Some(("--init", how)) => options.initialization = initialization(how)?,
             Some(("--radius", radius)) => options.solver.initial_trust_region_radius = radius.parse()?,
             Some(("--city", poses)) => {
-                let graph = Graph::Spatial(city::city_3d(poses.parse()?, 1.0));
+                let graph = Graph::ThreeD(city::city_3d(poses.parse()?, 1.0));
                 optimize("city", graph, &options, None)?;
             }
             Some(("--out", path)) => out = Some(path.to_owned()),

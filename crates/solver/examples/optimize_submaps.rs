@@ -14,10 +14,10 @@ mod submaps;
 fn main() -> Result<(), Box<dyn Error>> {
     let nodes: usize = std::env::args().nth(1).map_or(Ok(5000), |n| n.parse())?;
     let graph = submaps::submap_graph(nodes);
-    for spatial in [false, true] {
+    for is_3d in [false, true] {
         for radius in [1e4, 1e8, 1e16] {
             let start = Instant::now();
-            let mut problem = if spatial { graph.problem_3d() } else { graph.problem_2d() };
+            let mut problem = if is_3d { graph.problem_3d() } else { graph.problem_2d() };
             let built = start.elapsed();
             let options = SolverOptions { initial_trust_region_radius: radius, ..Default::default() };
             let start = Instant::now();

@@ -39,7 +39,7 @@ fn near(pose: &Rigid3, by: &Rigid3) -> Rigid3 {
     pose * half
 }
 
-fn planar(pose: &Rigid2) -> (Manifold, Vec<f64>) {
+fn pose_2d(pose: &Rigid2) -> (Manifold, Vec<f64>) {
     (Manifold::Se2, vec![pose.translation.x, pose.translation.y, pose.angle])
 }
 
@@ -47,7 +47,7 @@ fn rotation_variable(q: &Quaternion) -> (Manifold, Vec<f64>) {
     (Manifold::Rotation(Default::default()), vec![q.w, q.i, q.j, q.k])
 }
 
-fn spatial(pose: &Rigid3) -> (Manifold, Vec<f64>) {
+fn pose_3d(pose: &Rigid3) -> (Manifold, Vec<f64>) {
     let (t, q) = (pose.translation.vector, pose.rotation);
     (Manifold::SE3, vec![t.x, t.y, t.z, q.w, q.i, q.j, q.k])
 }
@@ -62,10 +62,10 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
     #[test]
-    fn planar_pairs(a in se2(), b in se2(), noise in se2(), root in prop::array::uniform9(-2.0..2.0f64)) {
+    fn pairs_2d(a in se2(), b in se2(), noise in se2(), root in prop::array::uniform9(-2.0..2.0f64)) {
         // Keeps the angle error off ±π, where it jumps.
         let measurement = a.inverse() * b * Rigid2::new(noise.translation.x, noise.translation.y, noise.angle * 0.4);
-        let variables = [planar(&a), planar(&b)];
+        let variables = [pose_2d(&a), pose_2d(&b)];
         check(&Se2Between { variables: ids(), measurement, translation_weight: 2.0, rotation_weight: 0.7 }, &variables)?;
         let square_root_information = na::Matrix3::from_row_slice(&root);
         check(&Se2BetweenInformation { variables: ids(), measurement, square_root_information }, &variables)?;
@@ -75,9 +75,9 @@ proptest! {
     }
 
     #[test]
-    fn spatial_pairs(a in se3(), b in se3(), noise in se3(), root in prop::array::uniform32(-2.0..2.0f64)) {
+    fn pairs_3d(a in se3(), b in se3(), noise in se3(), root in prop::array::uniform32(-2.0..2.0f64)) {
         let measurement = near(&(a.inverse() * b), &noise);
-        let variables = [spatial(&a), spatial(&b)];
+        let variables = [pose_3d(&a), pose_3d(&b)];
         check(&Se3Between { variables: ids(), measurement, translation_weight: 2.0, rotation_weight: 0.7 }, &variables)?;
         let square_root_information = na::Matrix6::from_fn(|i, j| root[(6 * i + j) % 32]);
         for convention in CONVENTIONS {
@@ -101,29 +101,29 @@ proptest! {
             translation_weight: 2.0, rotation_weight: 0.7,
         }.interpolated_tracking_pose(&a, &b);
         let tracking_from_landmark = near(&(tracking.inverse() * landmark), &seen);
-        let spatial_factor = Landmark3d {
+        let factor_3d = Landmark3d {
             variables: ids(), interpolation_factor: factor, tracking_from_landmark,
             translation_weight: 2.0, rotation_weight: 0.7,
         };
         // Where the arc is half a turn, the shorter side jumps.
         prop_assume!(a.rotation.coords.dot(&b.rotation.coords).abs() > 1e-3);
-        check(&spatial_factor, &[spatial(&a), spatial(&b), spatial(&landmark)])?;
+        check(&factor_3d, &[pose_3d(&a), pose_3d(&b), pose_3d(&landmark)])?;
     }
 
     #[test]
-    fn planar_landmarks(
+    fn landmarks_2d(
         a in se2(), turn in -2.0..2.0f64, gravity in prop::array::uniform2(0.0..0.3f64),
         landmark in se3(), seen in se3(), factor in 0.0..1.0f64,
     ) {
         let b = a * Rigid2::new(0.4, -0.1, turn);
         let gravity_alignments = gravity.map(|g| quaternion_from_angle_axis(&Vector3::new(g, -0.5 * g, 0.0)));
-        let mut planar_factor = Landmark2d {
+        let mut factor_2d = Landmark2d {
             variables: ids(), interpolation_factor: factor, gravity_alignments,
             tracking_from_landmark: Rigid3::identity(), translation_weight: 2.0, rotation_weight: 0.7,
         };
-        let tracking = planar_factor.interpolated_tracking_pose(&a, &b);
-        planar_factor.tracking_from_landmark = near(&(tracking.inverse() * landmark), &seen);
-        check(&planar_factor, &[planar(&a), planar(&b), spatial(&landmark)])?;
+        let tracking = factor_2d.interpolated_tracking_pose(&a, &b);
+        factor_2d.tracking_from_landmark = near(&(tracking.inverse() * landmark), &seen);
+        check(&factor_2d, &[pose_2d(&a), pose_2d(&b), pose_3d(&landmark)])?;
     }
 
     #[test]
@@ -133,12 +133,12 @@ proptest! {
     ) {
         let rotation = ImuRotation { variables: ids(), first_from_second: delta, weight: 3.0 };
         let calibrated = rotation_variable(&calibration);
-        check(&rotation, &[spatial(&a), spatial(&b), calibrated.clone()])?;
+        check(&rotation, &[pose_3d(&a), pose_3d(&b), calibrated.clone()])?;
         let acceleration = ImuAcceleration {
             variables: ids(), delta_velocity_in_second: dv, first_duration: 0.7, second_duration: 1.1, weight: 0.6,
         };
         let gravity = (Manifold::NonNegative, vec![g]);
-        check(&acceleration, &[spatial(&a), spatial(&b), spatial(&c), gravity, calibrated])?;
+        check(&acceleration, &[pose_3d(&a), pose_3d(&b), pose_3d(&c), gravity, calibrated])?;
     }
 
     #[test]
@@ -160,7 +160,7 @@ fn residuals_vanish_where_the_measurement_is_met() {
         quaternion_from_angle_axis(&Vector3::new(0.0, 0.0, 3.1)),
     );
     let measurement = a.inverse() * b;
-    let (a, b) = (spatial(&a).1, spatial(&b).1);
+    let (a, b) = (pose_3d(&a).1, pose_3d(&b).1);
     let mut residual = [1.0; 6];
     let weighted =
         Se3Between { variables: ids(), measurement, translation_weight: 2.0, rotation_weight: 0.7 };

@@ -10,7 +10,7 @@ use portolan_solver::g2o::{
 use portolan_solver::{Loss, Termination};
 use proptest::prelude::*;
 
-const PLANAR: &str = "\
+const GRAPH_2D: &str = "\
 # a square with a chord
 VERTEX_SE2 0 0 0 0
 VERTEX_SE2 1 1.1 0.1 1.5
@@ -24,7 +24,7 @@ EDGE_SE2 3 0 1 0 1.5707963267948966 100 0 0 100 0 400
 EDGE_SE2 0 2 1 1 3.141592653589793 50 1 0 50 0 100
 ";
 
-const SPATIAL: &str = "\
+const GRAPH_3D: &str = "\
 VERTEX_SE3:QUAT 7 0 0 0 0 0 0 1
 VERTEX_SE3:QUAT 8 1 0.1 0 0 0 0.1 0.9949874371066199
 VERTEX_SE3:QUAT -3 2 0 0.2 0.1 0 0 0.9949874371066199
@@ -37,24 +37,24 @@ fn read(text: &str) -> Result<(Graph, portolan_solver::g2o::G2oRepairs), G2oErro
     read_g2o(text.as_bytes())
 }
 
-fn planar(graph: &Graph) -> &PoseGraph<Rigid2> {
+fn graph_2d(graph: &Graph) -> &PoseGraph<Rigid2> {
     match graph {
-        Graph::Planar(graph) => graph,
-        Graph::Spatial(_) => panic!("not planar"),
+        Graph::TwoD(graph) => graph,
+        Graph::ThreeD(_) => panic!("not in 2D"),
     }
 }
 
 #[test]
 fn files_come_back_as_they_were() {
-    for text in [PLANAR, SPATIAL] {
+    for text in [GRAPH_2D, GRAPH_3D] {
         let (graph, repairs) = read(text).unwrap();
         assert!(repairs.is_empty());
         let mut written = Vec::new();
         write_g2o(&graph, &mut written).unwrap();
         assert_eq!(read_g2o(written.as_slice()).unwrap().0, graph);
     }
-    let graph = read(PLANAR).unwrap().0;
-    let graph = planar(&graph);
+    let graph = read(GRAPH_2D).unwrap().0;
+    let graph = graph_2d(&graph);
     assert!(graph.vertices[0].fixed && !graph.vertices[1].fixed);
     assert_eq!(graph.edges[4].information.0[(1, 0)], 1.0);
 }
@@ -68,7 +68,7 @@ fn optimisation_closes_the_square() {
         Initialization::SpanningTree,
         Initialization::RotationsFirst,
     ] {
-        for text in [PLANAR, SPATIAL] {
+        for text in [GRAPH_2D, GRAPH_3D] {
             let mut graph = read(text).unwrap().0;
             let options = OptimizeOptions { initialization, estimate_condition: true, ..Default::default() };
             let report = optimize_graph(&mut graph, &options).unwrap();
@@ -79,16 +79,16 @@ fn optimisation_closes_the_square() {
             assert!(report.worst_edges.is_sorted_by(|a, b| a.chi2 >= b.chi2));
         }
     }
-    let mut graph = read(PLANAR).unwrap().0;
+    let mut graph = read(GRAPH_2D).unwrap().0;
     let report = optimize_graph(&mut graph, &OptimizeOptions::default()).unwrap();
     assert!(report.anchored.is_empty() && report.unknowns == 9 && report.redundancy() == 6);
-    assert!((planar(&graph).vertices[2].pose.translation - nalgebra::Vector2::new(1.0, 1.0)).norm() < 1e-6);
+    assert!((graph_2d(&graph).vertices[2].pose.translation - nalgebra::Vector2::new(1.0, 1.0)).norm() < 1e-6);
 }
 
 #[test]
 fn oddities_are_counted_and_mended() {
     let text = format!(
-        "{PLANAR}VERTEX_SE2 0 5 5 5\nVERTEX_SE2 9 nan 0 0\nVERTEX_XY 4 1 1\nVERTEX_XY 5 1 1\n\
+        "{GRAPH_2D}VERTEX_SE2 0 5 5 5\nVERTEX_SE2 9 nan 0 0\nVERTEX_XY 4 1 1\nVERTEX_XY 5 1 1\n\
          EDGE_SE2 3 9 1 0 0 1 0 0 1 0 1\nEDGE_SE2 10 9 1 0 0 1 0 0 1 0 1\nEDGE_SE2 0 0 1 0 0 1 0 0 1 0 1\n\
          EDGE_SE2 0 1 inf 0 0 1 0 0 1 0 1\nFIX 77\n\n"
     );
@@ -98,8 +98,8 @@ fn oddities_are_counted_and_mended() {
     assert_eq!((repairs.created_vertices, repairs.unusable_edges, repairs.self_edges), (2, 1, 1));
     assert_eq!(repairs.unknown_fixed, 1);
     // The vertices that were missing were put where the measurements say.
-    let created = &planar(&graph).vertices[4];
-    let expected = planar(&graph).vertices[3].pose * Rigid2::new(1.0, 0.0, 0.0);
+    let created = &graph_2d(&graph).vertices[4];
+    let expected = graph_2d(&graph).vertices[3].pose * Rigid2::new(1.0, 0.0, 0.0);
     assert_eq!((created.id, created.pose), (9, expected));
 }
 
@@ -110,20 +110,20 @@ fn immense_numbers_make_up_no_pose() {
         format!("VERTEX_SE2 0 0 0 1e308\nVERTEX_SE2 2 0 0 1e99\n{edge}EDGE_SE2 2 1 1 0 1e99 1 0 0 1 0 1\n");
     let (graph, repairs) = read(&text).unwrap();
     assert_eq!((repairs.unusable_vertices, repairs.unusable_edges, repairs.created_vertices), (1, 1, 1));
-    assert!(planar(&graph).vertices.iter().all(|vertex| vertex.pose.angle.is_finite()));
+    assert!(graph_2d(&graph).vertices.iter().all(|vertex| vertex.pose.angle.is_finite()));
     let mut written = Vec::new();
     write_g2o(&graph, &mut written).unwrap();
     assert!(read_g2o(written.as_slice()).unwrap().1.is_empty());
     let vertex = "VERTEX_SE3:QUAT 7 0 1e200 0 0 0 0 1\n";
-    assert_eq!(read(&format!("{SPATIAL}{vertex}")).unwrap().1.unusable_vertices, 1);
+    assert_eq!(read(&format!("{GRAPH_3D}{vertex}")).unwrap().1.unusable_vertices, 1);
 }
 
 #[test]
 fn quaternions_are_normalised_or_refused() {
-    let vertex = |q: &str| format!("VERTEX_SE3:QUAT 1 0 0 0 {q}\n{SPATIAL}");
+    let vertex = |q: &str| format!("VERTEX_SE3:QUAT 1 0 0 0 {q}\n{GRAPH_3D}");
     let (graph, repairs) = read(&vertex("0 0 0 2")).unwrap();
     assert_eq!(repairs.normalized_quaternions, 1);
-    let Graph::Spatial(graph) = graph else { panic!("not spatial") };
+    let Graph::ThreeD(graph) = graph else { panic!("not in 3D") };
     assert_eq!(graph.vertices[0].pose, Rigid3::identity());
     assert_eq!(read(&vertex("0 0 0 0")).unwrap().1.unusable_vertices, 1);
 }
@@ -134,11 +134,11 @@ fn damage_is_named_with_its_line() {
         Err(G2oError::Malformed { line, .. } | G2oError::MixedDimensions { line, .. }) => line,
         other => panic!("{other:?}"),
     };
-    assert_eq!(line_of(&format!("{PLANAR}EDGE_SE2 0 1 1 0 1.57 100 0 0 10")), 12);
-    assert_eq!(line_of(&format!("{PLANAR}VERTEX_SE2 x 1 0 1")), 12);
-    assert_eq!(line_of(&format!("{PLANAR}VERTEX_SE2 5 1 0 zero")), 12);
-    assert_eq!(line_of(&format!("{PLANAR}FIX")), 12);
-    assert_eq!(line_of(&format!("{PLANAR}{SPATIAL}")), 12);
+    assert_eq!(line_of(&format!("{GRAPH_2D}EDGE_SE2 0 1 1 0 1.57 100 0 0 10")), 12);
+    assert_eq!(line_of(&format!("{GRAPH_2D}VERTEX_SE2 x 1 0 1")), 12);
+    assert_eq!(line_of(&format!("{GRAPH_2D}VERTEX_SE2 5 1 0 zero")), 12);
+    assert_eq!(line_of(&format!("{GRAPH_2D}FIX")), 12);
+    assert_eq!(line_of(&format!("{GRAPH_2D}{GRAPH_3D}")), 12);
     assert!(matches!(read("# nothing\nFIX 1\n"), Err(G2oError::Empty)));
     assert!(matches!(read("EDGE_SE2 1 1 0 0 0 1 0 0 1 0 1"), Err(G2oError::Empty)));
 }
@@ -146,19 +146,19 @@ fn damage_is_named_with_its_line() {
 #[test]
 fn parts_without_a_fixed_vertex_are_anchored() {
     let text = format!(
-        "{PLANAR}EDGE_SE2 20 21 1 0 0 1 0 0 1 0 1\nEDGE_SE2 21 20 -1.1 0 0 1 0 0 1 0 1\nVERTEX_SE2 30 1 1 1\n"
+        "{GRAPH_2D}EDGE_SE2 20 21 1 0 0 1 0 0 1 0 1\nEDGE_SE2 21 20 -1.1 0 0 1 0 0 1 0 1\nVERTEX_SE2 30 1 1 1\n"
     );
     let mut graph = read(&text).unwrap().0;
     let report = optimize_graph(&mut graph, &OptimizeOptions::default()).unwrap();
     assert_eq!((report.components, report.anchored.as_slice()), (3, [30, 20].as_slice()));
     assert!(report.termination.is_convergence());
-    let lonely = planar(&graph).vertices.iter().find(|v| v.id == 30).unwrap();
+    let lonely = graph_2d(&graph).vertices.iter().find(|v| v.id == 30).unwrap();
     assert_eq!(lonely.pose, Rigid2::new(1.0, 1.0, 1.0));
 }
 
 #[test]
 fn indefinite_and_empty_information_are_survived() {
-    let text = PLANAR
+    let text = GRAPH_2D
         .replace("50 1 0 50 0 100", "50 90 0 50 0 -100")
         .replace("2 3 1 0 1.5707963267948966 100 0 0 100 0 400", "2 3 1 0 1.5 0 0 0 0 0 0");
     let mut graph = read(&text).unwrap().0;
@@ -167,7 +167,7 @@ fn indefinite_and_empty_information_are_survived() {
     assert_eq!(report.repaired_information, 1);
     assert!(report.termination.is_usable());
     // A vertex that nothing determines is recognised by the condition.
-    let loose = format!("{PLANAR}EDGE_SE2 0 5 1 0 0 0 0 0 0 0 0\n");
+    let loose = format!("{GRAPH_2D}EDGE_SE2 0 5 1 0 0 0 0 0 0 0 0\n");
     let mut graph = read(&loose).unwrap().0;
     let report = optimize_graph(&mut graph, &options).unwrap();
     assert_eq!(report.condition, Some(f64::INFINITY));
@@ -196,16 +196,16 @@ fn a_robust_loss_overrules_a_false_closure() {
 
 #[test]
 fn graphs_made_by_hand_are_checked() {
-    let mut graph = read(PLANAR).unwrap().0;
-    let Graph::Planar(inner) = &mut graph else { panic!("not planar") };
+    let mut graph = read(GRAPH_2D).unwrap().0;
+    let Graph::TwoD(inner) = &mut graph else { panic!("not in 2D") };
     inner.edges[2].to = 99;
     assert!(write_g2o(&graph, Vec::new()).is_err());
     let result = optimize_graph(&mut graph, &OptimizeOptions::default());
     assert!(matches!(result, Err(GraphError::UnknownVertex { edge: 2, vertex: 99, count: 4 })));
-    let mut nothing = Graph::Spatial(PoseGraph::default());
+    let mut nothing = Graph::ThreeD(PoseGraph::default());
     assert!(matches!(optimize_graph(&mut nothing, &OptimizeOptions::default()), Err(GraphError::NoVertices)));
-    let mut far = read(PLANAR).unwrap().0;
-    let Graph::Planar(inner) = &mut far else { panic!("not planar") };
+    let mut far = read(GRAPH_2D).unwrap().0;
+    let Graph::TwoD(inner) = &mut far else { panic!("not in 2D") };
     inner.edges[0].measurement = Rigid2::new(1e300, 0.0, 1.57);
     match optimize_graph(&mut far, &OptimizeOptions::default()) {
         Ok(report) => assert_ne!(report.termination, Termination::GradientTolerance),
@@ -218,10 +218,10 @@ proptest! {
 
     #[test]
     fn no_damage_panics(
-        spatial in any::<bool>(), cut in 0usize..2000,
+        is_3d in any::<bool>(), cut in 0usize..2000,
         flips in prop::collection::vec((0usize..2000, any::<u8>()), 0..6),
     ) {
-        let mut bytes = if spatial { SPATIAL } else { PLANAR }.as_bytes().to_vec();
+        let mut bytes = if is_3d { GRAPH_3D } else { GRAPH_2D }.as_bytes().to_vec();
         for (at, value) in flips {
             let length = bytes.len();
             bytes[at % length] = value;

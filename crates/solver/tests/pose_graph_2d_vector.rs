@@ -1,5 +1,5 @@
 //! The optimisation problem of vectors.md §10, built from the factors of this crate: all residuals of a
-//! planar pose graph with known costs and result.
+//! nodes_2d pose graph with known costs and result.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -128,14 +128,14 @@ fn costs_and_poses_are_those_of_the_vector() {
     let summary = solve(problem);
     assert!((summary.initial_cost / 48275524.7 - 1.0).abs() < 1e-8, "{summary:?}");
     assert!((summary.final_cost / 1468790.716 - 1.0).abs() < 1e-9, "{summary:?}");
-    let planar = [
+    let nodes_2d = [
         (built.submaps[1], Rigid2::new(2.064268479, 0.324246134, 0.227239634)),
         (built.nodes[0], Rigid2::new(0.088460305, 0.004829034, 0.016341281)),
         (built.nodes[3], Rigid2::new(1.595496135, 0.214361456, 0.168719655)),
         (built.nodes[7], Rigid2::new(3.599139015, 1.049816530, 0.369975090)),
         (built.fixed_frame, Rigid2::new(-5.827353050, -21.914009367, 0.190170985)),
     ];
-    for (id, expected) in planar {
+    for (id, expected) in nodes_2d {
         let difference = expected.inverse() * problem.se2(id);
         assert!(
             difference.translation.norm() < 1e-8 && difference.angle.abs() < 1e-8,

@@ -2,7 +2,7 @@
 #![cfg_attr(not(test), deny(clippy::indexing_slicing))]
 
 mod growing;
-mod planar_scan;
+mod kept_scan_2d;
 mod sampling_density;
 mod scan_matching_2d;
 mod scan_matching_3d;
@@ -11,7 +11,7 @@ mod submap_2d;
 mod submap_3d;
 
 pub use growing::GrowingSubmap;
-pub use planar_scan::PlanarScan;
+pub use kept_scan_2d::KeptScan2d;
 pub use scan_matching_2d::{
     ScanMatch2d, ScanMatcher2d, Searched, fast_matcher_options, gradient_matcher, search_after_gap,
 };

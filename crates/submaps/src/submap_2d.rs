@@ -1,4 +1,4 @@
-//! Submaps of the plane (`slam2d.md` §11).
+//! Submaps in 2D (`slam2d.md` §11).
 
 use std::sync::Arc;
 

@@ -51,7 +51,7 @@ pub fn positive_metres(text: &str) -> Result<f64, String> {
 }
 
 /// x, y, yaw: metres and degrees.
-pub fn planar_pose(text: &str) -> Result<Rigid3, String> {
+pub fn pose_2d(text: &str) -> Result<Rigid3, String> {
     let [x, y, yaw] = numbers::<3>(text, "X,Y,YAW")?;
     Ok(Rigid3::new(Vector3::new(x, y, 0.0), Vector3::z() * yaw.to_radians()))
 }
@@ -97,22 +97,22 @@ pub fn range_noise(text: &str) -> Result<RangeNoise, String> {
 }
 
 /// x, y, z, roll, pitch, yaw: metres and degrees.
-pub fn spatial_pose(text: &str) -> Result<Rigid3, String> {
+pub fn pose_3d(text: &str) -> Result<Rigid3, String> {
     let [x, y, z, angles @ ..] = numbers::<6>(text, "X,Y,Z,ROLL,PITCH,YAW")?;
     let [roll, pitch, yaw] = angles.map(f64::to_radians);
     let rotation = rotation_from_roll_pitch_yaw(roll, pitch, yaw);
     Ok(Rigid3::from_parts(Vector3::new(x, y, z).into(), rotation))
 }
 
-/// A pose in a map of the plane or of space, metres and degrees: x, y, yaw; or x, y, z, yaw; or x, y, z, roll, pitch,
+/// A pose in a map in 2D or in 3D, metres and degrees: x, y, yaw; or x, y, z, yaw; or x, y, z, roll, pitch,
 /// yaw.
 pub fn start_pose(text: &str) -> Result<Rigid3, String> {
     const NAMES: &str = "X,Y,YAW, or X,Y,Z,YAW, or X,Y,Z,ROLL,PITCH,YAW";
     let pose = match text.split(',').count() {
-        3 => planar_pose(text),
+        3 => pose_2d(text),
         4 => numbers::<4>(text, NAMES)
             .map(|[x, y, z, yaw]| Rigid3::new(Vector3::new(x, y, z), Vector3::z() * yaw.to_radians())),
-        _ => spatial_pose(text),
+        _ => pose_3d(text),
     };
     pose.map_err(|_| format!("expected {NAMES}, not \"{text}\""))
 }
@@ -157,10 +157,10 @@ mod tests {
     }
 
     #[test]
-    fn starts_in_the_plane_and_in_space() {
+    fn starts_in_2d_and_in_3d() {
         let pose = |text| start_pose(text).unwrap_or_else(|e| panic!("{e}"));
         let yaw = |pose: &Rigid3| pose.rotation.euler_angles().2.to_degrees();
-        assert_eq!(pose("1,-2,90"), planar_pose("1,-2,90").unwrap_or_else(|e| panic!("{e}")));
+        assert_eq!(pose("1,-2,90"), pose_2d("1,-2,90").unwrap_or_else(|e| panic!("{e}")));
         assert_eq!(pose("1,-2,3.5,90").translation.vector, Vector3::new(1.0, -2.0, 3.5));
         assert!((yaw(&pose("1,-2,3.5,90")) - 90.0).abs() < 1e-9);
         assert_eq!(pose("1,2,3,0,0,45"), pose("1,2,3,45"));

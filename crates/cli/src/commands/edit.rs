@@ -54,7 +54,7 @@ struct PartArgs {
     merge: Vec<PathBuf>,
     /// Where the map of the --merge at the same place lies in this one: metres and degrees; `0,0,0` if both have
     /// one origin.
-    #[arg(long, value_name = "X,Y,YAW", value_parser = argument::planar_pose, allow_hyphen_values = true)]
+    #[arg(long, value_name = "X,Y,YAW", value_parser = argument::pose_2d, allow_hyphen_values = true)]
     place: Vec<Rigid3>,
     /// Keep only this trajectory; may be given several times.
     #[arg(long, value_name = "ID", conflicts_with = "delete")]

@@ -49,8 +49,8 @@ pub struct LocalizeArgs {
     /// Where in the map the recording starts: metres and degrees; also X,Y,Z,YAW or X,Y,Z,ROLL,PITCH,YAW. `gnss`: where its
     /// satellite fixes are, in a map that was made with --gnss; that is also done by itself where both are there. `unknown`: the
     /// whole map is searched, fixes or not. A wrong start costs seconds: scans have to confirm it.
-    #[arg(long, value_name = "X,Y,YAW", value_parser = told_start, allow_hyphen_values = true)]
-    pub start: Option<ToldStart>,
+    #[arg(long, value_name = "X,Y,YAW", value_parser = start_argument, allow_hyphen_values = true)]
+    pub start: Option<StartArgument>,
 
     /// Start at a landmark of the map, by its name (a wrong one lists them), heading anywhere. A start like any other.
     #[arg(long, value_name = "NAME", conflicts_with_all = ["start", "start_from"])]
@@ -97,17 +97,19 @@ pub struct LocalizeArgs {
 
 /// What `--start` takes.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum ToldStart {
+pub enum StartArgument {
     At(Rigid3),
     Fixes,
     Unknown,
 }
 
-fn told_start(text: &str) -> Result<ToldStart, String> {
+fn start_argument(text: &str) -> Result<StartArgument, String> {
     match text {
-        "gnss" => Ok(ToldStart::Fixes),
-        "unknown" => Ok(ToldStart::Unknown),
-        pose => start_pose(pose).map(ToldStart::At).map_err(|error| format!("{error}; or gnss, or unknown")),
+        "gnss" => Ok(StartArgument::Fixes),
+        "unknown" => Ok(StartArgument::Unknown),
+        pose => {
+            start_pose(pose).map(StartArgument::At).map_err(|error| format!("{error}; or gnss, or unknown"))
+        }
     }
 }
 
@@ -235,14 +237,14 @@ fn start(args: &LocalizeArgs) -> Result<Option<Start>, CliError> {
         return Ok(Some(Start::Landmark { name: name.clone(), sigma_metres, sigma_radians }));
     }
     let told = match args.start {
-        Some(ToldStart::At(pose)) => pose,
+        Some(StartArgument::At(pose)) => pose,
         _ if args.start_sigma.is_some() => {
             return Err(CliError::Usage(
                 "--start-sigma is of --start X,Y,YAW or --start-landmark: say one of them".to_owned(),
             ));
         }
-        Some(ToldStart::Fixes) => return Ok(Some(Start::Fixes)),
-        Some(ToldStart::Unknown) => return Ok(Some(Start::Unknown)),
+        Some(StartArgument::Fixes) => return Ok(Some(Start::Fixes)),
+        Some(StartArgument::Unknown) => return Ok(Some(Start::Unknown)),
         None => return Ok(None),
     };
     let (sigma_metres, sigma_radians) = args.start_sigma.unwrap_or(SIGMAS_AT_POSE);

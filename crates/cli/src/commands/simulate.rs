@@ -55,10 +55,10 @@ pub fn run(args: &SimulateArgs, global: &GlobalArgs) -> Result<Outcome, CliError
         .build()
         .map_err(|error| CliError::Failed(format!("cannot start threads: {error}")))?;
     pool.install(|| match scenario {
-        AnyScenario::Plane(options) => {
+        AnyScenario::TwoD(options) => {
             write_all(&Simulation::new(*options).map_err(usage)?, args, format, global)
         }
-        AnyScenario::Space(options) => {
+        AnyScenario::ThreeD(options) => {
             write_all(&Simulation3d::new(*options).map_err(usage)?, args, format, global)
         }
     })

@@ -13,7 +13,7 @@ use crate::common::{portolan_with_code, real, text};
 
 /// The planar scanner that a 3D lidar contains: the nearest points at the height of the lidar. KITTI's turns are clockwise from
 /// behind, with the stamp in their middle.
-fn planar_scan(message: RecordedMessage) -> Option<RecordedMessage> {
+fn scan_2d(message: RecordedMessage) -> Option<RecordedMessage> {
     const BEAMS: usize = 720;
     const PERIOD: f32 = 0.1036;
     let RecordedMessage { log_time, message: Message::PointCloud2(cloud), .. } = message else { return None };
@@ -53,7 +53,7 @@ fn assert_followed(made_of: impl Fn(RecordedMessage) -> Vec<RecordedMessage>) {
         let truth = read(&real(&format!("lidar3d/{name}.truth.tum")).unwrap());
         let folder = tempfile::tempdir().unwrap();
         let planar = folder.path().join("planar.bag");
-        rewritten(&recording, &planar, |_, message| planar_scan(message).map(&made_of).unwrap_or_default());
+        rewritten(&recording, &planar, |_, message| scan_2d(message).map(&made_of).unwrap_or_default());
         map(&text(&planar), folder.path(), &[]);
         let error = error_of(&truth, &read(&text(&folder.path().join("trajectory.tum"))));
         assert!(error <= 1.3 * measured, "{name}: {error} m");
@@ -77,7 +77,7 @@ fn with_gap(recording: &str, is_planar: bool, gap: &Range<usize>, end: usize, ou
         let Message::PointCloud2(_) = &message.message else { return Vec::new() };
         let is_kept = sweeps.next().is_some_and(|sweep| sweep < end && !gap.contains(&sweep));
         let message = is_kept.then_some(message);
-        if is_planar { message.and_then(planar_scan) } else { message }.into_iter().collect()
+        if is_planar { message.and_then(scan_2d) } else { message }.into_iter().collect()
     });
 }
 

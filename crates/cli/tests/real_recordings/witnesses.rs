@@ -59,14 +59,14 @@ fn with_odometry(told: impl Fn(Rigid3) -> Rigid3) -> Option<(f64, String)> {
 }
 
 #[test]
-fn in_space_wheels_that_are_never_read_are_not_believed() {
+fn in_3d_wheels_that_are_never_read_are_not_believed() {
     let Some((error, report)) = with_odometry(|_| Rigid3::identity()) else { return };
     assert!(error <= 1.3 * 0.036, "{error} m");
     assert!(report.contains("odometry_overruled"), "{report}");
 }
 
 #[test]
-fn in_space_wheels_of_another_size_are_corrected() {
+fn in_3d_wheels_of_another_size_are_corrected() {
     if is_fast() {
         return;
     }

@@ -63,7 +63,7 @@ pub fn make(folder: &Path) -> Vec<Sample> {
         "-q",
         "-o",
     ];
-    let has_space = portolan(&[&space[..], &[&at("space.bag")]].concat()).code == Some(0);
+    let has_3d = portolan(&[&space[..], &[&at("space.bag")]].concat()).code == Some(0);
     portolan_with_code(0, &["map", &at("walk.bag"), "-o", &at("m"), "-q"]);
     let (map, truth) = (at("m/map.pbstream"), at("walk.truth.tum"));
     std::fs::copy(&map, at("walk.pbstream")).unwrap();
@@ -98,7 +98,7 @@ pub fn make(folder: &Path) -> Vec<Sample> {
         ("a.laz", Kind::Cloud, Layout::HeaderThenRows),
         ("a.e57", Kind::Cloud, Layout::E57),
     ];
-    if has_space {
+    if has_3d {
         samples.push(("space.bag", Kind::Recording, Layout::Bag));
     }
     let sample = |name: &str, path: &str, kind, layout| Sample {

@@ -11,7 +11,7 @@ use super::clouds::{CloudKind, WriteCloud};
 use super::colours::{ColourSensor, IntensityToGrey};
 use super::filters::{CountPoints, FrameFilter, HeightFilter, RangeFilter, Sample};
 use super::floors::detect_floors;
-use super::grid_files::{PlanarOutput, WriteHybridGrid, WritePlanarGrid};
+use super::grid_files::{GridOutput2d, WriteGrid2d, WriteHybridGrid};
 use super::moving::RemoveMoving;
 use super::xray::{WriteXray, XrayOptions};
 use super::{Log, Pipeline, PipelineContext, PointsError, Stage};
@@ -161,7 +161,7 @@ fn hybrid_grid(d: &Dictionary, context: &PipelineContext, _: Log) -> Made {
     Ok(Box::new(WriteHybridGrid::new(voxel_size, HybridInserter::new(&options)?, file, &context.frame)?))
 }
 
-fn planar_inserter(d: &Dictionary) -> Result<ProbabilityInserter, PointsError> {
+fn inserter_2d(d: &Dictionary) -> Result<ProbabilityInserter, PointsError> {
     let inserter = d.dictionary("range_data_inserter")?;
     let options = ProbabilityInserterOptions {
         hit_probability: inserter.number("hit_probability")?,
@@ -178,7 +178,7 @@ fn probability_grid(d: &Dictionary, context: &PipelineContext, log: Log) -> Made
     let output_type = optional(d, "output_type", Dictionary::string, "png".to_owned())?;
     let path = context.file(&format!("{}.{output_type}", d.string("filename")?));
     let output = match output_type.as_str() {
-        "png" => PlanarOutput::Png {
+        "png" => GridOutput2d::Png {
             path,
             trajectories: if draw { context.trajectories.clone() } else { Vec::new() },
         },
@@ -186,18 +186,18 @@ fn probability_grid(d: &Dictionary, context: &PipelineContext, log: Log) -> Made
             if draw {
                 log("Trajectories are not drawn into a serialised grid.");
             }
-            PlanarOutput::Proto { path }
+            GridOutput2d::Proto { path }
         }
         other => return Err(setting(action, format!("output_type is \"{other}\": it must be png or pb"))),
     };
     let resolution = size(d, "resolution", action)?;
-    Ok(Box::new(WritePlanarGrid::new(resolution, planar_inserter(d)?, output, &context.frame)?))
+    Ok(Box::new(WriteGrid2d::new(resolution, inserter_2d(d)?, output, &context.frame)?))
 }
 
 fn ros_map(d: &Dictionary, context: &PipelineContext, _: Log) -> Made {
-    let output = PlanarOutput::RosMap { stem: context.file(&d.string("filestem")?) };
+    let output = GridOutput2d::RosMap { stem: context.file(&d.string("filestem")?) };
     let resolution = size(d, "resolution", "write_ros_map")?;
-    Ok(Box::new(WritePlanarGrid::new(resolution, planar_inserter(d)?, output, &context.frame)?))
+    Ok(Box::new(WriteGrid2d::new(resolution, inserter_2d(d)?, output, &context.frame)?))
 }
 
 fn xray(d: &Dictionary, context: &PipelineContext, _: Log) -> Made {

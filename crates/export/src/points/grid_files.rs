@@ -19,7 +19,7 @@ use crate::png_file::write_rgb;
 const UNKNOWN: u8 = 128;
 
 /// What becomes of a grid in 2D.
-pub(super) enum PlanarOutput {
+pub(super) enum GridOutput2d {
     /// A picture with trajectories.
     Png { path: PathBuf, trajectories: Vec<Vec<(Time, Rigid3)>> },
     /// A serialised `Grid2D`.
@@ -29,25 +29,25 @@ pub(super) enum PlanarOutput {
 }
 
 /// Draws points and rays into a grid in 2D.
-pub(super) struct WritePlanarGrid {
+pub(super) struct WriteGrid2d {
     grid: ProbabilityGrid,
     /// Of the frame of the grid in the map, metres.
     origin: Vector2,
     inserter: ProbabilityInserter,
-    output: PlanarOutput,
+    output: GridOutput2d,
 }
 
-impl WritePlanarGrid {
+impl WriteGrid2d {
     pub fn new(
         resolution: f64,
         inserter: ProbabilityInserter,
-        output: PlanarOutput,
+        output: GridOutput2d,
         frame: &NearFrame,
     ) -> Result<Self, PointsError> {
         let limits = MapLimits::around(resolution, Vector2::zeros())?;
         let path = match &output {
-            PlanarOutput::Png { path, .. } | PlanarOutput::Proto { path } => path,
-            PlanarOutput::RosMap { stem } => stem,
+            GridOutput2d::Png { path, .. } | GridOutput2d::Proto { path } => path,
+            GridOutput2d::RosMap { stem } => stem,
         };
         // Only to see now, not after hours, whether files can be written.
         drop(AtomicFile::create(path)?);
@@ -135,7 +135,7 @@ fn range_data(batch: &PointsBatch) -> RangeData {
     }
 }
 
-impl Stage for WritePlanarGrid {
+impl Stage for WriteGrid2d {
     fn process(&mut self, batch: &mut PointsBatch) -> Result<bool, PointsError> {
         self.inserter.insert(&range_data(batch), &mut self.grid)?;
         Ok(true)
@@ -143,16 +143,16 @@ impl Stage for WritePlanarGrid {
 
     fn end_pass(&mut self, _flush: Flush, log: Log) -> Result<(), PointsError> {
         let path = match &self.output {
-            PlanarOutput::Png { path, trajectories } => {
+            GridOutput2d::Png { path, trajectories } => {
                 self.write_png(path, trajectories)?;
                 path
             }
-            PlanarOutput::Proto { path } => {
+            GridOutput2d::Proto { path } => {
                 let grid = Grid2d::Probability(self.grid.clone());
                 write_atomically(path, &encode_grid_2d(&grid, &self.origin))?;
                 path
             }
-            PlanarOutput::RosMap { stem } => {
+            GridOutput2d::RosMap { stem } => {
                 write_ros_map(stem, &self.ros_map(), ImageName::AsOpened)?;
                 stem
             }

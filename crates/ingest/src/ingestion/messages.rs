@@ -129,7 +129,7 @@ impl Ingestion {
     /// Whether a scan without a single return is of use: odometry tells where the only planar scanner was then.
     fn tells_poses_of_blind_scans(&self) -> bool {
         let SensorPlan { dimension, range, odometry, .. } = &self.plan;
-        *dimension == Dimension::Two && range.len() == 1 && self.subdivisions == 1 && odometry.is_some()
+        *dimension == Dimension::TwoD && range.len() == 1 && self.subdivisions == 1 && odometry.is_some()
     }
 
     fn give_points(&mut self, sensor: &mut Sensor, points: TimedPoints, frame: &str) {

@@ -437,7 +437,7 @@ impl<'a> Chosen<'a> {
 pub fn plan(inventory: &Inventory, options: &IngestOptions) -> Result<SensorPlan, PlanError> {
     let request = Request::new(inventory, options)?;
     let mut plan = SensorPlan {
-        dimension: Dimension::Two,
+        dimension: Dimension::TwoD,
         tracking_frame: String::new(),
         range: Vec::new(),
         odometry: None,

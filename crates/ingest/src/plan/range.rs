@@ -18,7 +18,7 @@ use crate::tf::is_fixed_frame;
 
 /// A scanner in 2D may lean this much.
 const MAX_TILT_DEGREES: f64 = 20.0;
-/// A cloud with at least this vertical field of view sees space …
+/// A cloud with at least this vertical field of view is of a 3D lidar …
 const MIN_VERTICAL_DEGREES: f64 = 5.0;
 /// … and one with at least this horizontal field of view is from a lidar rather than a depth camera.
 const MIN_HORIZONTAL_DEGREES: f64 = 150.0;
@@ -147,18 +147,18 @@ fn one_per_frame<'a>(sensors: Vec<Chosen<'a>>, plan: &mut SensorPlan) -> Vec<Cho
     kept
 }
 
-fn sees_space(chosen: &Chosen) -> bool {
+fn sees_3d(chosen: &Chosen) -> bool {
     let degrees = chosen.survey.range.as_ref().map_or(0.0, |r| r.vertical_field_of_view.to_degrees());
     is_cloud(chosen) && degrees >= MIN_VERTICAL_DEGREES
 }
 
 fn looks_around(chosen: &Chosen) -> bool {
     let degrees = chosen.survey.range.as_ref().map_or(0.0, |r| r.field_of_view.to_degrees());
-    sees_space(chosen) && degrees >= MIN_HORIZONTAL_DEGREES
+    sees_3d(chosen) && degrees >= MIN_HORIZONTAL_DEGREES
 }
 
 fn dimension_of(range: &[Chosen]) -> Dimension {
-    if range.iter().any(sees_space) { Dimension::Three } else { Dimension::Two }
+    if range.iter().any(sees_3d) { Dimension::ThreeD } else { Dimension::TwoD }
 }
 
 fn choose_dimension<'a>(
@@ -177,11 +177,11 @@ fn choose_dimension<'a>(
         return Ok(only);
     }
     // A lidar that looks around beats a scanner in 2D; a depth camera does not.
-    let space = clouds.iter().any(looks_around);
-    plan.dimension = options.dimension.unwrap_or(if space { Dimension::Three } else { Dimension::Two });
+    let in_3d = clouds.iter().any(looks_around);
+    plan.dimension = options.dimension.unwrap_or(if in_3d { Dimension::ThreeD } else { Dimension::TwoD });
     let (used, unused, flag) = match plan.dimension {
-        Dimension::Three => (clouds, scans, "--scan"),
-        Dimension::Two => (scans, clouds, "--points"),
+        Dimension::ThreeD => (clouds, scans, "--scan"),
+        Dimension::TwoD => (scans, clouds, "--points"),
     };
     plan.note(
         format!("mapping with {}, not with {}", names(&used), names(&unused)),
@@ -198,7 +198,7 @@ fn without_leaning<'a>(
     plan: &mut SensorPlan,
 ) -> Vec<Chosen<'a>> {
     let leaning = |c: &Chosen| {
-        let base = upright_frame(&inventory.tree, c.frame(), [], Dimension::Two)?;
+        let base = upright_frame(&inventory.tree, c.frame(), [], Dimension::TwoD)?;
         // Upside down is fine. One that is tilted to and fro counts as it leans most.
         let poses = inventory.tree.lookup_often(base, c.frame());
         let upright = poses.iter().map(|pose| (pose.rotation * Vector3::z()).z.abs()).reduce(f64::min)?;

@@ -22,7 +22,7 @@ pub fn upright_frame<'a>(
     dimension: Dimension,
 ) -> Option<&'a str> {
     let beside = |other: &&str| are_on_one_robot(tree, other, frame);
-    let scanner = || scanners.into_iter().filter(|_| dimension == Dimension::Two).find(beside);
+    let scanner = || scanners.into_iter().filter(|_| dimension == Dimension::TwoD).find(beside);
     base_frames(tree).find(beside).or_else(scanner)
 }
 

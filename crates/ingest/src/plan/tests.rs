@@ -55,7 +55,7 @@ fn two_connected_scanners_and_odometry_are_used_together() {
         (topics(&plan), plan.tracking_frame.as_str()),
         (vec!["/front", "/panning", "/rear"], "base_link")
     );
-    assert_eq!(plan.dimension, Dimension::Two);
+    assert_eq!(plan.dimension, Dimension::TwoD);
     assert!(matches!(&plan.odometry, Some(o) if o.name() == "/odom"));
     let text: String = plan.notices.iter().map(|n| format!("{} [{}]\n", n.what, n.change)).collect();
     for expected in [
@@ -171,12 +171,12 @@ fn a_lidar_with_an_imu_in_g() {
     ]);
     let plan = planned(&recording, &IngestOptions::default()).unwrap();
     assert_eq!((topics(&plan), plan.tracking_frame.as_str()), (vec!["/points"], "imu_link"));
-    assert_eq!(plan.dimension, Dimension::Three);
+    assert_eq!(plan.dimension, Dimension::ThreeD);
     assert_eq!(plan.imu.as_ref().unwrap().scale, ImuScale { acceleration: 9.80665, angular_velocity: 1.0 });
     let point_time = plan.range[0].point_time.unwrap();
     assert_eq!(point_time.unit, 1.0);
     let flat =
-        IngestOptions { dimension: Some(Dimension::Two), use_imu: Some(false), ..IngestOptions::default() };
+        IngestOptions { dimension: Some(Dimension::TwoD), use_imu: Some(false), ..IngestOptions::default() };
     let plan = planned(&recording, &flat).unwrap();
     assert_eq!((topics(&plan), plan.imu.is_some()), (vec!["/camera/scan"], false));
 }
@@ -309,7 +309,7 @@ fn stamps_are_moved_as_somebody_says() {
 }
 
 #[test]
-fn in_the_plane_an_imu_whose_axes_are_swapped_is_left_out() {
+fn in_2d_an_imu_whose_axes_are_swapped_is_left_out() {
     let swapped = recording(&[
         ("/scan", &|t| scan(t, "laser")),
         ("/imu", &|t| imu(t, [0.3, 9.8, 0.1])),
@@ -321,7 +321,7 @@ fn in_the_plane_an_imu_whose_axes_are_swapped_is_left_out() {
         }),
     ]);
     let plan = planned(&swapped, &IngestOptions::default()).unwrap();
-    assert!(plan.imu.is_none() && plan.dimension == Dimension::Two);
+    assert!(plan.imu.is_none() && plan.dimension == Dimension::TwoD);
     let notice = plan.notices.iter().find(|n| n.what.contains("leaning 89°")).unwrap();
     assert_eq!(notice.change, "--imu /imu");
     let asked_for = IngestOptions { imu_topic: Some("/imu".into()), ..IngestOptions::default() };
@@ -342,7 +342,7 @@ fn in_the_plane_an_imu_whose_axes_are_swapped_is_left_out() {
 }
 
 #[test]
-fn in_space_an_imu_that_leans_against_the_robot_is_left_out_and_one_in_the_hand_may_lean() {
+fn in_3d_an_imu_that_leans_against_the_robot_is_left_out_and_one_in_the_hand_may_lean() {
     let with = |acceleration: [f64; 3], robot: &'static str| {
         let recording = recording(&[
             ("/points", &|t| cloud(t, "lidar")),
@@ -357,7 +357,7 @@ fn in_space_an_imu_that_leans_against_the_robot_is_left_out_and_one_in_the_hand_
         planned(&recording, &IngestOptions::default()).unwrap()
     };
     let swapped = with([0.3, 9.8, 0.1], "base_link");
-    assert!(swapped.imu.is_none() && swapped.dimension == Dimension::Three);
+    assert!(swapped.imu.is_none() && swapped.dimension == Dimension::ThreeD);
     assert!(swapped.notices.iter().any(|n| n.what.contains("leaning 89°")));
     assert!(with([0.3, 0.1, -9.8], "base_link").imu.is_none());
     assert!(with([0.3, 0.1, -9.8], "robot_2/base_link").imu.is_none());

@@ -87,7 +87,7 @@ pub(super) fn choose_imu<'a>(
             }
         }
     }
-    if choice.is_none() && plan.dimension == Dimension::Three {
+    if choice.is_none() && plan.dimension == Dimension::ThreeD {
         plan.note("mapping in 3D without an IMU: level is what it was at the start", "--imu <topic>");
     }
     Ok(choice)
@@ -148,7 +148,7 @@ fn leaning(chosen: &Chosen, inventory: &Inventory, range: &[Chosen], dimension: 
     let upright = upright_frame(tree, chosen.frame(), range.iter().map(Chosen::frame), dimension)?;
     let up = tree.lookup_static(upright, chosen.frame())?.rotation * up;
     // Planar scanners and their robots may be upside down: turns about z change nothing but their sign.
-    let upward = if dimension == Dimension::Two { up.z.abs() } else { up.z };
+    let upward = if dimension == Dimension::TwoD { up.z.abs() } else { up.z };
     let degrees = upward.clamp(-1.0, 1.0).acos().to_degrees();
     let [x, y, z] = up.into();
     (degrees > MAX_LEAN_DEGREES).then(|| {

@@ -66,9 +66,9 @@ pub(crate) enum Times {
     ByAzimuth(Turn),
 }
 
-/// What sweeps say of the times of their points.
+/// The times of points that factors and fits together tell.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct ToldTimes {
+pub(super) struct FittingTimes {
     /// What they are.
     pub times: Times,
     /// Whether it is clear that this is right, not only that times are wrong as they are.
@@ -131,12 +131,12 @@ const NONE: Times = Times::Scaled(0.0);
 
 /// What the times of points are, as factors and fits together tell; none if nothing speaks against those recorded. Factors are
 /// in units of the motion during the time that times span, which is the share `duty` of the interval between clouds.
-pub(super) fn told_by_fits(
+pub(super) fn times_that_fit(
     skew: &Skew,
     duty: f64,
     by_azimuth: Option<AzimuthWitness>,
     fits: &impl Fits,
-) -> Option<ToldTimes> {
+) -> Option<FittingTimes> {
     // Fits alone do not tell that a lidar spins: sweeps that never repeat hardly show the same things.
     let by_azimuth = by_azimuth.filter(|witness| is_known(&witness.skew));
     let scaled = clear_scale(skew, duty, fits);
@@ -146,7 +146,7 @@ pub(super) fn told_by_fits(
         let is_rivalled = by_azimuth
             .is_some_and(|witness| turned.is_none() && fits.sigmas_better(times, witness.times()) > 0.0);
         if !is_rivalled {
-            return Some(ToldTimes { times, is_clear: true });
+            return Some(FittingTimes { times, is_clear: true });
         }
     }
     let all = || scales_of_times(duty).map(Times::Scaled).chain(by_azimuth.map(|witness| witness.times()));
@@ -158,7 +158,7 @@ pub(super) fn told_by_fits(
     };
     let is_contradicted = scaled.is_some() || all().any(contradicts);
     let times = all().max_by(|a, b| fits.explained(*a).total_cmp(&fits.explained(*b)))?;
-    is_contradicted.then_some(ToldTimes { times, is_clear: false })
+    is_contradicted.then_some(FittingTimes { times, is_clear: false })
 }
 
 /// Whether a factor is known at all.
@@ -259,7 +259,7 @@ mod tests {
     fn fits_tell_where_factors_are_not_clear() {
         let unknown = (-0.8, f64::INFINITY);
         let told = |translation, rotation, duty, fit, error| {
-            told_by_fits(&skew(translation, rotation), duty, None, &Explained(fit, error)).map(|told| {
+            times_that_fit(&skew(translation, rotation), duty, None, &Explained(fit, error)).map(|told| {
                 let Times::Scaled(scale) = told.times else { panic!("{told:?}") };
                 (scale, told.is_clear)
             })
@@ -289,16 +289,16 @@ mod tests {
         let unknown = (7.0, f64::INFINITY);
         let told = |by_azimuth, slope, fit, error| {
             let witness = AzimuthWitness { skew: skew(by_azimuth, unknown), slope };
-            told_by_fits(&skew((0.1, 0.2), (0.0, 0.2)), 1.0, Some(witness), &Explained(fit, error))
+            times_that_fit(&skew((0.1, 0.2), (0.0, 0.2)), 1.0, Some(witness), &Explained(fit, error))
         };
         let by_azimuth = |is_clear| {
             let times = Times::ByAzimuth(skew(unknown, unknown).turn());
-            Some(ToldTimes { times, is_clear })
+            Some(FittingTimes { times, is_clear })
         };
         let none: fn(f64) -> f64 = |s| -s.abs();
         // Factors alone, where fits agree; both together; neither. Fits alone do not tell that a lidar spins.
         assert_eq!(told((1.0, 0.1), -0.5, none, 1.0), by_azimuth(true));
-        assert_eq!(told(unknown, 0.0, none, 0.2), Some(ToldTimes { times: NONE, is_clear: false }));
+        assert_eq!(told(unknown, 0.0, none, 0.2), Some(FittingTimes { times: NONE, is_clear: false }));
         assert_eq!(told((0.9, 0.3), 0.0, none, 0.3), by_azimuth(true));
         assert_eq!(told((0.9, 0.3), 0.0, none, 0.7), by_azimuth(false));
         assert_eq!(told((0.9, 0.4), 0.0, none, 1.0), None);

@@ -35,7 +35,7 @@ use evidence::{Clock, Pair, Phases, Step, TurnTimes};
 use follow::{Followed, Sample};
 pub(crate) use hypotheses::Times;
 #[cfg(test)]
-use times::TimesTold;
+use times::RightTimes;
 
 /// Sweeps that are judged together.
 const SWEEPS_OF_A_BATCH: usize = 16;

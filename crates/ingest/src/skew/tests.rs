@@ -128,7 +128,7 @@ fn times_that_are_wrong_are_told_and_right_ones_are_left() {
         }
         let skew = estimator.skew().unwrap().of_part(duty);
         for spins in [false, true] {
-            let told = estimator.times_told(&skew, duty, spins).map(|told| (told.times, told.is_clear));
+            let told = estimator.right_times(&skew, duty, spins).map(|told| (told.times, told.is_clear));
             let expected = expected.map(|scale| (Times::Scaled(scale), true));
             assert_eq!(told, expected, "{sense} {duty} {spins}: {skew:?}");
         }
@@ -162,15 +162,15 @@ fn times_of_other_points_and_of_other_turns_are_told_from_those_of_the_azimuth()
             estimator.add(at(index), &points, Some(&shares));
         }
         let skew = estimator.skew().unwrap();
-        let told = estimator.times_told(&skew, 1.0, true);
-        let Some(TimesTold { times: Times::ByAzimuth(turn), is_clear: true, .. }) = told else {
+        let told = estimator.right_times(&skew, 1.0, true);
+        let Some(RightTimes { times: Times::ByAzimuth(turn), is_clear: true, .. }) = told else {
             panic!("{case}: {told:?}, {skew:?}")
         };
         let degrees = turn.begin_radians.to_degrees();
         assert!(turn.is_clockwise && (degrees - 90.0).abs() <= 10.0, "{case}: {turn:?}");
         // What does not spin has no times by azimuth.
-        let told = estimator.times_told(&skew, 1.0, false);
-        assert!(!matches!(told, Some(TimesTold { times: Times::ByAzimuth(_), .. })), "{case}: {told:?}");
+        let told = estimator.right_times(&skew, 1.0, false);
+        assert!(!matches!(told, Some(RightTimes { times: Times::ByAzimuth(_), .. })), "{case}: {told:?}");
     }
 }
 

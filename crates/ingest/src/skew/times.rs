@@ -4,7 +4,7 @@ use std::f32::consts::TAU;
 
 use super::evidence::{self, TurnTimes};
 use super::follow::{Followed, Sample};
-use super::hypotheses::{self, AzimuthWitness, Fits, Times, ToldTimes};
+use super::hypotheses::{self, AzimuthWitness, Fits, FittingTimes, Times};
 use super::{Judged, Skew, SkewEstimator, SkewState, beams, fit, pairs};
 use crate::beam_elevation::ElevationOffset;
 
@@ -14,9 +14,9 @@ const SAME_TIMES: f64 = 0.9;
 /// A lidar that turns sees something in each of so many directions.
 const SECTORS: usize = 24;
 
-/// What sweeps say of the times of their points.
+/// The times of points where those that were recorded are wrong, with the elevations of beams.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct TimesTold {
+pub(crate) struct RightTimes {
     /// What they are.
     pub times: Times,
     /// Whether it is clear that this is right, not only that times are wrong as they are.
@@ -28,7 +28,7 @@ pub(crate) struct TimesTold {
 impl SkewEstimator {
     /// What the times of points are, if not what was recorded. These span such a share of the interval between
     /// clouds, and the skew is in units of the motion during that. A lidar that spins may have others by azimuth.
-    pub fn times_told(&self, skew: &Skew, duty: f64, spins: bool) -> Option<TimesTold> {
+    pub fn right_times(&self, skew: &Skew, duty: f64, spins: bool) -> Option<RightTimes> {
         let is_settled = hypotheses::is_whole_turn(duty)
             && !self.is_open
             && matches!(skew.state(), SkewState::Raw | SkewState::Removed);
@@ -38,7 +38,7 @@ impl SkewEstimator {
         let by_azimuth = if spins { self.other_times_by_azimuth(duty) } else { None };
         if let (None, Some(scale)) = (&by_azimuth, hypotheses::scale_of_times(skew)) {
             let elevation = skew.elevation;
-            return Some(TimesTold { times: Times::Scaled(scale), is_clear: true, elevation });
+            return Some(RightTimes { times: Times::Scaled(scale), is_clear: true, elevation });
         }
         let mut fits = FitsOfTimes(Vec::new());
         for scale in hypotheses::scales_of_times(duty) {
@@ -49,11 +49,11 @@ impl SkewEstimator {
             fits.0.push((Times::ByAzimuth(witness.skew.turn()), judged.times, judged.deskewed));
             witness
         });
-        let ToldTimes { times, is_clear } = hypotheses::told_by_fits(skew, duty, witness, &fits)?;
+        let FittingTimes { times, is_clear } = hypotheses::times_that_fit(skew, duty, witness, &fits)?;
         let elevation = (fits.of(times))
             .filter(|_| is_clear)
             .and_then(|(_, times, followed)| beams::elevation(&self.batches, followed, Some(*times)));
-        Some(TimesTold { times, is_clear, elevation })
+        Some(RightTimes { times, is_clear, elevation })
     }
 
     /// The most likely turn, if the times of its azimuths are others than those recorded.

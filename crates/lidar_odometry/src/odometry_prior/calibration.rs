@@ -19,7 +19,7 @@ use crate::settings::constants::odometry_calibration::{
 
 /// What odometry tells of the motion since the last sweep.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct ToldMotion {
+pub(crate) struct OdometryMotion {
     /// Metres in the local map.
     pub translation: Vector3,
     pub seconds: f64,
@@ -50,7 +50,7 @@ impl Calibration {
     }
 
     /// The segment with its translations corrected.
-    pub fn corrected(&self, told: &TrajectorySegment, motion: &ToldMotion) -> TrajectorySegment {
+    pub fn corrected(&self, told: &TrajectorySegment, motion: &OdometryMotion) -> TrajectorySegment {
         let start = told.start().translation.vector;
         let (mean, [_, left, _]) = (self.mean_of(motion), motion.axes());
         let turn = (Vector3::z() * mean.y - left * mean.z).cross_matrix();
@@ -61,7 +61,7 @@ impl Calibration {
     }
 
     /// The mean for a motion: what leads up leads down on the way back.
-    fn mean_of(&self, motion: &ToldMotion) -> Vector3 {
+    fn mean_of(&self, motion: &OdometryMotion) -> Vector3 {
         let [along, ..] = motion.axes();
         match self.last_along.is_some_and(|last| last.dot(&along) < 0.0) {
             true => Vector3::new(self.mean.x, self.mean.y, -self.mean.z),
@@ -77,17 +77,17 @@ impl Calibration {
     }
 
     /// How far off a corrected motion is along each axis, metres (standard deviation).
-    pub fn sigma(&self, motion: &ToldMotion) -> f64 {
+    pub fn sigma(&self, motion: &OdometryMotion) -> f64 {
         let by_calibration = self.variances.max() * motion.translation.norm_squared();
         self.settings.least_translation_error + (self.noise_variance(motion) + by_calibration).sqrt()
     }
 
-    fn noise_variance(&self, motion: &ToldMotion) -> f64 {
+    fn noise_variance(&self, motion: &OdometryMotion) -> f64 {
         (self.settings.odometry_drift * motion.seconds).powi(2) * self.noise.variance_factor()
     }
 
     /// Takes how far the platform moved (metres in the local map) while odometry told this.
-    pub fn learn(&mut self, motion: &ToldMotion, moved: &Vector3, found: &MeasuredPlace) {
+    pub fn learn(&mut self, motion: &OdometryMotion, moved: &Vector3, found: &MeasuredPlace) {
         let most = self.settings.odometry_calibration.powi(2);
         let walk = most * motion.seconds / FORGOTTEN_AFTER;
         self.variances = self.variances.map(|variance| (variance + walk).min(most));
@@ -119,7 +119,7 @@ impl Calibration {
     }
 }
 
-impl ToldMotion {
+impl OdometryMotion {
     /// Unit vectors along the motion, to its left and up, in the local map.
     fn axes(&self) -> [Vector3; 3] {
         let along = self.translation.try_normalize(1e-9).unwrap_or_else(Vector3::x);
@@ -141,7 +141,7 @@ mod tests {
             let (covariance, of_prior) = (Matrix3::identity() * variance, 1e-3);
             let local_from_tracking = Rigid3::identity();
             let found = MeasuredPlace { local_from_tracking, covariance, of_prior, told: Vec::new() };
-            calibration.learn(&ToldMotion { translation: told, seconds: 0.1 }, &moved, &found);
+            calibration.learn(&OdometryMotion { translation: told, seconds: 0.1 }, &moved, &found);
         }
         calibration
     }
@@ -152,7 +152,7 @@ mod tests {
         let moved = Vector3::new(0.92, 0.05, -0.03);
         let calibration = after(std::iter::repeat_n((told, moved), 40), 1e-4);
         assert!((calibration.mean - Vector3::new(-0.08, 0.05, -0.03)).norm() < 0.01, "{}", calibration.mean);
-        let (start, motion) = (Rigid3::identity(), ToldMotion { translation: told, seconds: 0.1 });
+        let (start, motion) = (Rigid3::identity(), OdometryMotion { translation: told, seconds: 0.1 });
         let (begin, end) =
             (portolan_geometry::Time::from_ticks(0), portolan_geometry::Time::from_ticks(1_000_000));
         let segment = TrajectorySegment::new(begin, end, |time| match time == end {
@@ -164,7 +164,7 @@ mod tests {
         assert!(calibration.sigma(&motion) < 0.025, "{}", calibration.sigma(&motion));
         assert!((calibration.factor().unwrap() - 1.0 / 0.92).abs() < 0.01);
         // The way back.
-        let back = ToldMotion { translation: -told, seconds: 0.1 };
+        let back = OdometryMotion { translation: -told, seconds: 0.1 };
         let returned = calibration.corrected(&segment.changed(|_, pose| *pose = pose.inverse()), &back);
         assert!((returned.translation() - Vector3::new(-0.92, -0.05, 0.03)).norm() < 0.01);
     }
@@ -174,7 +174,7 @@ mod tests {
         let told = |i: u32| Vector3::new(0.1, 0.0, 0.001 * f64::from(i % 2));
         let noisy = after((0..200).map(|i| (told(i), told(i) * (1.0 + 0.8 * f64::from(i).sin()))), 1e-5);
         let good = after((0..200).map(|i| (told(i), told(i))), 1e-5);
-        let motion = ToldMotion { translation: told(0), seconds: 0.1 };
+        let motion = OdometryMotion { translation: told(0), seconds: 0.1 };
         let sigmas = [&noisy, &Calibration::new(&noisy.settings), &good].map(|of| of.sigma(&motion));
         assert!(sigmas.is_sorted_by(|a, b| a > b), "{sigmas:?}");
         assert!(sigmas[0] > 0.04 && sigmas[2] < 0.015, "{sigmas:?}");

@@ -62,7 +62,7 @@ impl Tracker {
             _ if was_standing => Substitute::Rest,
             MotionSource::Standing | MotionSource::Odometry { .. } => Substitute::Odometry,
             MotionSource::Inertial { .. } => Substitute::Accelerometer,
-            MotionSource::ConstantVelocity if self.witness.has_told(end) => Substitute::Correlation,
+            MotionSource::ConstantVelocity if self.witness.told_lately(end) => Substitute::Correlation,
             MotionSource::ConstantVelocity => Substitute::Velocity,
         };
         // Where a gyroscope is overruled, the rotation goes on as before, and not as odometry says.

@@ -20,7 +20,7 @@ use super::keyframe_insertion::{KeyframeInsertion, KeyframeScan};
 use super::planes::extrapolator_settings;
 use crate::motion_filter;
 use crate::remembered_scans::RememberedScans;
-use crate::{MatchingResult, Spatial};
+use crate::{MatchingResult, Space3d};
 
 /// Without an IMU a scan is de-skewed again with the pose it was matched at, so many times.
 const DESKEWING_PASSES: u32 = 2;
@@ -128,7 +128,7 @@ impl GridEngine {
         gathered: &[Gathered],
         insertion: &mut KeyframeInsertion,
         issues: &mut IssueLog,
-    ) -> Option<MatchingResult<Spatial>> {
+    ) -> Option<MatchingResult<Space3d>> {
         let extrapolator = self.extrapolator.as_mut()?;
         extrapolator.prepare(end);
         let last = extrapolator.last_pose();
@@ -192,7 +192,7 @@ impl GridEngine {
         matched: MatchedScan,
         measured_gravity: Option<Quaternion>,
         insertion: &mut KeyframeInsertion,
-    ) -> MatchingResult<Spatial> {
+    ) -> MatchingResult<Space3d> {
         let MatchedScan { local_from_tracking, scan, clouds } = matched;
         if self.motion_filter.is_similar(time, &local_from_tracking) {
             let local = portolan_geometry::to_f32(&local_from_tracking);

@@ -12,7 +12,7 @@ use portolan_sensor::{PointCloud, RangeData};
 use portolan_submaps::{Inserter3d, Scan3d, Submap3d};
 
 use crate::{ActiveSubmaps, filtered};
-use crate::{InsertedNode, InsertionSubmap, MatchingResult, NodeData, Spatial};
+use crate::{InsertedNode, InsertionSubmap, MatchingResult, NodeData, Space3d};
 
 /// A sweep that was registered and is a key frame.
 pub(super) struct KeyframeScan {
@@ -37,7 +37,7 @@ const WORK_PER_POINT: usize = 4;
 pub(super) struct KeyframeInsertion {
     options: TrajectoryBuilder3dOptions,
     inserter: Arc<Inserter3d>,
-    pub submaps: ActiveSubmaps<Spatial>,
+    pub submaps: ActiveSubmaps<Space3d>,
     /// Of submaps of pieces of map that ended.
     issues: IssueLog,
 }
@@ -58,7 +58,7 @@ impl KeyframeInsertion {
     }
 
     /// Makes a node of a key frame and inserts it.
-    pub fn insert(&mut self, keyframe: KeyframeScan) -> MatchingResult<Spatial> {
+    pub fn insert(&mut self, keyframe: KeyframeScan) -> MatchingResult<Space3d> {
         let KeyframeScan { time, local_from_tracking, scan, open, .. } = keyframe;
         let gravity = keyframe.gravity_from_tracking;
         let scan = Arc::new(scan);
@@ -91,7 +91,7 @@ impl KeyframeInsertion {
         range_data_in_local: &RangeData,
         data: &NodeData,
         completed_map: Option<PlaneMap>,
-    ) -> Vec<InsertionSubmap<Spatial>> {
+    ) -> Vec<InsertionSubmap<Space3d>> {
         // Of length one: with grids the next poses follow from that of the submap, and an error would double with each.
         let rotation = data.local_from_tracking.rotation * data.gravity_alignment.inverse();
         let local_from_gravity_aligned = Quaternion::new_normalize(rotation.into_inner());
@@ -130,7 +130,7 @@ impl KeyframeInsertion {
     }
 
     /// Ends a piece of map as [`Self::finish`] does, and begins another one.
-    pub fn begin_anew(&mut self, maps: impl Iterator<Item = PlaneMap>) -> Vec<InsertionSubmap<Spatial>> {
+    pub fn begin_anew(&mut self, maps: impl Iterator<Item = PlaneMap>) -> Vec<InsertionSubmap<Space3d>> {
         let remaining = self.finish(maps);
         self.submaps.count_into(&mut self.issues);
         self.submaps = ActiveSubmaps::new(keyframes_per_half(&self.options));
@@ -144,7 +144,7 @@ impl KeyframeInsertion {
     }
 
     /// Ends the trajectory; maps of planes belong to the submaps that are being filled, oldest first.
-    pub fn finish(&mut self, maps: impl Iterator<Item = PlaneMap>) -> Vec<InsertionSubmap<Spatial>> {
+    pub fn finish(&mut self, maps: impl Iterator<Item = PlaneMap>) -> Vec<InsertionSubmap<Space3d>> {
         self.submaps.iter_mut().zip(maps).for_each(|(submap, planes)| submap.planes = Some(planes));
         self.submaps.finish()
     }

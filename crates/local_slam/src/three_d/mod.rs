@@ -17,7 +17,7 @@ use portolan_sensor::{
 use portolan_submaps::{Inserter3d, Submap3d};
 
 use super::{LocalSlam, MatchingResult, count_collated, count_extrapolated, first_point_time};
-use crate::{InsertionSubmap, LocalSlamError, Spatial, note_corrected_odometry};
+use crate::{InsertionSubmap, LocalSlamError, Space3d, note_corrected_odometry};
 
 mod deskew;
 mod grid_matcher;
@@ -109,7 +109,7 @@ impl LocalSlam3d {
     }
 
     /// Registers what waited for the beginning.
-    fn register_waiting(&mut self) -> Vec<MatchingResult<Spatial>> {
+    fn register_waiting(&mut self) -> Vec<MatchingResult<Space3d>> {
         if !self.begin_if_ready() {
             return Vec::new();
         }
@@ -118,7 +118,7 @@ impl LocalSlam3d {
     }
 
     /// One synchronised set of ranges: registered when a sweep is together.
-    fn add_synchronized(&mut self, ranges: &SynchronizedRanges) -> Vec<MatchingResult<Spatial>> {
+    fn add_synchronized(&mut self, ranges: &SynchronizedRanges) -> Vec<MatchingResult<Space3d>> {
         if self.last_pose_time().is_some_and(|last| first_point_time(ranges) < last) {
             let kind = match self.insertion.has_submap() {
                 true => IssueKind::ScanOverlapsLast,
@@ -151,12 +151,12 @@ fn waiting_sweeps(waiting: &VecDeque<SynchronizedRanges>) -> Option<WaitingSweep
     Some(WaitingSweeps { first_point: first_point_time(first), first_end: first.time, last_end: last.time })
 }
 
-impl LocalSlam<Spatial> for LocalSlam3d {
+impl LocalSlam<Space3d> for LocalSlam3d {
     fn add_range_data(
         &mut self,
         sensor_id: &SensorId,
         data: TimedPointCloudData,
-    ) -> Vec<MatchingResult<Spatial>> {
+    ) -> Vec<MatchingResult<Space3d>> {
         let Some(ranges) = self.collator.add(&sensor_id.id, data) else { return Vec::new() };
         if ranges.points.is_empty() {
             self.count(IssueKind::ScanWithoutPoints, ranges.time);
@@ -177,7 +177,7 @@ impl LocalSlam<Spatial> for LocalSlam3d {
         self.begin_if_ready();
     }
 
-    fn add_odometry_data(&mut self, data: &OdometryData) -> Vec<MatchingResult<Spatial>> {
+    fn add_odometry_data(&mut self, data: &OdometryData) -> Vec<MatchingResult<Space3d>> {
         match &mut self.engine {
             Engine::Planes(engine) => engine.add_odometry(data),
             Engine::Grids(engine) => engine.add_odometry(data, &mut self.issues),
@@ -185,7 +185,7 @@ impl LocalSlam<Spatial> for LocalSlam3d {
         Vec::new()
     }
 
-    fn flush(&mut self) -> Vec<MatchingResult<Spatial>> {
+    fn flush(&mut self) -> Vec<MatchingResult<Space3d>> {
         let waiting = waiting_sweeps(&self.waiting);
         match &mut self.engine {
             Engine::Planes(engine) => engine.begin(waiting.as_ref()),
@@ -205,7 +205,7 @@ impl LocalSlam<Spatial> for LocalSlam3d {
         }
     }
 
-    fn finish(&mut self) -> Vec<InsertionSubmap<Spatial>> {
+    fn finish(&mut self) -> Vec<InsertionSubmap<Space3d>> {
         match &self.engine {
             Engine::Planes(engine) => self.insertion.finish(engine.growing_maps()),
             Engine::Grids(_) => self.insertion.finish(std::iter::empty()),

@@ -14,7 +14,7 @@ use super::deskew::{Gathered, raw_sweep};
 use super::grid_matcher::GridMatcher;
 use super::keyframe_insertion::{KeyframeInsertion, KeyframeScan, clouds, keyframes_per_half};
 use crate::{ActiveSubmaps, Lost};
-use crate::{MatchingResult, Spatial};
+use crate::{MatchingResult, Space3d};
 
 /// Local SLAM by lidar odometry.
 pub(super) struct PlaneEngine {
@@ -29,7 +29,7 @@ struct Grids<'a> {
     options: &'a TrajectoryBuilder3dOptions,
     matcher: &'a GridMatcher,
     has_imu: bool,
-    submaps: &'a mut ActiveSubmaps<Spatial>,
+    submaps: &'a mut ActiveSubmaps<Space3d>,
 }
 
 impl Fallback for Grids<'_> {
@@ -95,7 +95,7 @@ impl PlaneEngine {
         end: Time,
         gathered: &[Gathered],
         insertion: &mut KeyframeInsertion,
-    ) -> Vec<MatchingResult<Spatial>> {
+    ) -> Vec<MatchingResult<Space3d>> {
         // What cannot be registered is counted by the odometry.
         let _ = self.odometry.push(raw_sweep(gathered, end, &self.options));
         let results = self.register(insertion);
@@ -104,7 +104,7 @@ impl PlaneEngine {
     }
 
     /// Registers a first sweep for which no second came.
-    pub fn flush(&mut self, insertion: &mut KeyframeInsertion) -> Vec<MatchingResult<Spatial>> {
+    pub fn flush(&mut self, insertion: &mut KeyframeInsertion) -> Vec<MatchingResult<Space3d>> {
         self.odometry.end();
         let results = self.register(insertion);
         if let Some(time) = self.last_pose_time() {
@@ -113,7 +113,7 @@ impl PlaneEngine {
         results
     }
 
-    fn register(&mut self, insertion: &mut KeyframeInsertion) -> Vec<MatchingResult<Spatial>> {
+    fn register(&mut self, insertion: &mut KeyframeInsertion) -> Vec<MatchingResult<Space3d>> {
         let mut results = Vec::new();
         loop {
             let mut grids = Grids {
@@ -171,7 +171,7 @@ fn inserted(
     options: &TrajectoryBuilder3dOptions,
     mut registered: RegisteredSweep,
     insertion: &mut KeyframeInsertion,
-) -> MatchingResult<Spatial> {
+) -> MatchingResult<Space3d> {
     let lost = registered.begun.take().map(|begun| Lost {
         since: begun.since,
         remaining: insertion.begin_anew(begun.maps.into_iter()),

@@ -88,7 +88,7 @@ fn run_with(
     let settings = LocalSlam3dSettings { use_all_odometry: true, plane_voxel_size, ..Default::default() };
     let mut slam = LocalSlam3d::new(options, std::slice::from_ref(&sensor), settings).unwrap();
     let (mut worst, mut matched) = (0.0f64, 0);
-    let mut check = |results: Vec<MatchingResult<Spatial>>| {
+    let mut check = |results: Vec<MatchingResult<Space3d>>| {
         for result in results {
             let error = truth(result.time.ticks() as f64 * 1e-7).inverse() * result.local_from_tracking;
             worst = worst.max(error.translation.vector.norm()).max(error.rotation.angle());

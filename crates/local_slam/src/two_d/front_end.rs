@@ -28,7 +28,7 @@ use super::start::{NEAR, Role, Velocity};
 use super::tracking::Tracker;
 use crate::{
     ActiveSubmaps, GatheredVariance, InsertionSubmap, LocalSlamError, MOST_GATHERED_POINTS, MatchingResult,
-    Planar, count_extrapolated, first_point_time, motion_filter, note_corrected_odometry, take_odometry,
+    Space2d, count_extrapolated, first_point_time, motion_filter, note_corrected_odometry, take_odometry,
 };
 
 /// An odometry source that reported nothing for so long is not waited for.
@@ -54,7 +54,7 @@ pub(super) struct FrontEnd {
     /// Where odometry says that the scanner went from there.
     reckoned: DeadReckoning,
     inserter: Arc<Inserter2d>,
-    active_submaps: ActiveSubmaps<Planar>,
+    active_submaps: ActiveSubmaps<Space2d>,
     motion_filter: MotionFilter,
     accumulated: Accumulation,
     /// Odometry that came before the first scan.
@@ -150,7 +150,7 @@ impl FrontEnd {
     }
 
     /// Matches the scans whose odometry has come, and those that waited too long.
-    fn match_waiting(&mut self, newest: Time) -> Vec<MatchingResult<Planar>> {
+    fn match_waiting(&mut self, newest: Time) -> Vec<MatchingResult<Space2d>> {
         let mut results = Vec::new();
         while let Some(oldest) = self.waiting_ranges.front() {
             if self.waits_for_odometry(oldest.time) && newest - oldest.time <= LONGEST_WAIT {
@@ -163,7 +163,7 @@ impl FrontEnd {
     }
 
     /// One synchronised set of ranges: de-skew, gather, and match when enough is together.
-    fn add_synchronized(&mut self, ranges: &SynchronizedRanges) -> Option<MatchingResult<Planar>> {
+    fn add_synchronized(&mut self, ranges: &SynchronizedRanges) -> Option<MatchingResult<Space2d>> {
         if !self.options.use_imu_data {
             let first = first_point_time(ranges);
             self.start_extrapolator(first);
@@ -203,7 +203,7 @@ impl FrontEnd {
     }
 
     /// Takes scans of all sensors at one time. Gives what became of scans whose turn has come.
-    pub fn add_ranges(&mut self, ranges: SynchronizedRanges) -> Vec<MatchingResult<Planar>> {
+    pub fn add_ranges(&mut self, ranges: SynchronizedRanges) -> Vec<MatchingResult<Space2d>> {
         let newest = ranges.time;
         self.waiting_ranges.push_back(ranges);
         self.match_waiting(newest)
@@ -222,7 +222,7 @@ impl FrontEnd {
     }
 
     /// Takes an odometry pose. Gives what became of scans that waited for it.
-    pub fn add_odometry(&mut self, data: &OdometryData) -> Vec<MatchingResult<Planar>> {
+    pub fn add_odometry(&mut self, data: &OdometryData) -> Vec<MatchingResult<Space2d>> {
         if !take_odometry(data, self.extrapolator.as_mut(), &mut self.waiting_odometry) {
             self.count(IssueKind::OdometryTooOld, data.time);
         }
@@ -231,7 +231,7 @@ impl FrontEnd {
     }
 
     /// Matches what still waits for odometry that will not come.
-    pub fn flush(&mut self) -> Vec<MatchingResult<Planar>> {
+    pub fn flush(&mut self) -> Vec<MatchingResult<Space2d>> {
         self.last_odometry_time = None;
         self.match_waiting(Time::MAX)
     }
@@ -247,7 +247,7 @@ impl FrontEnd {
     }
 
     /// Hands over the submaps that were being filled.
-    pub fn finish(&mut self) -> Vec<InsertionSubmap<Planar>> {
+    pub fn finish(&mut self) -> Vec<InsertionSubmap<Space2d>> {
         self.active_submaps.finish()
     }
 
@@ -273,7 +273,7 @@ impl FrontEnd {
     }
 }
 
-fn no_submaps(options: &TrajectoryBuilder2dOptions, extras: &LocalSlamExtras) -> ActiveSubmaps<Planar> {
+fn no_submaps(options: &TrajectoryBuilder2dOptions, extras: &LocalSlamExtras) -> ActiveSubmaps<Space2d> {
     let scans_per_half = u32::try_from(options.submaps.num_range_data).unwrap_or(1);
     ActiveSubmaps::new(scans_per_half).with_length(extras.submap_length)
 }

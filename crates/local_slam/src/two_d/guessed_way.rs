@@ -64,7 +64,7 @@ impl Default for GuessedWay {
 
 impl GuessedWay {
     /// The way to here was told by scans or odometry, or the scanner rests.
-    pub fn is_told(&mut self, time: Time, pose: &Rigid2, velocity: Velocity) {
+    pub fn add_known(&mut self, time: Time, pose: &Rigid2, velocity: Velocity) {
         (self.told, self.velocity) = (Some(time), velocity);
         let Some(stretch) = self.stretch else {
             self.stretch = Some(Stretch { from: (time, *pose), before: None });
@@ -119,7 +119,7 @@ mod tests {
         let (mut way, mut x) = (GuessedWay::default(), 0.0);
         for i in 0..10 * seconds {
             let time = 0.1 * f64::from(i);
-            way.is_told(at(time), &Rigid2::new(x, 0.0, 0.0), KNOWN);
+            way.add_known(at(time), &Rigid2::new(x, 0.0, 0.0), KNOWN);
             x += 0.1 * speed(time);
         }
         way.is_guessed(at(f64::from(seconds)));
@@ -142,7 +142,7 @@ mod tests {
         let mut random = portolan_numeric::SplitMix64::new(3);
         let (mut way, mut x, mut speed) = (GuessedWay::default(), 0.0, 0.0);
         for i in 0..20_000 {
-            way.is_told(at(0.1 * f64::from(i)), &Rigid2::new(x, 0.0, 0.0), KNOWN);
+            way.add_known(at(0.1 * f64::from(i)), &Rigid2::new(x, 0.0, 0.0), KNOWN);
             // Uniform, with the variance 0.04 m²/s³ · 0.1 s.
             speed += (12.0_f64 * 0.004).sqrt() * (random.uniform() - 0.5);
             x += 0.1 * (5.0 + speed);

@@ -159,8 +159,8 @@ impl LevelFilter {
         let of_heading = estimate.covariance_of(InertialEntry::Rotation).m33 + HEADING * HEADING;
         self.turns.add_relative(turn.z * turn.z / of_heading);
         estimate.correct(InertialEntry::Rotation, &Vector3::new(0.0, 0.0, turn.z), &error);
-        let in_plane = if tells_place { PLACE } else { PREDICTED_PLACE };
-        let variances = Vector::new(in_plane * in_plane, in_plane * in_plane, HEIGHT * HEIGHT);
+        let horizontal = if tells_place { PLACE } else { PREDICTED_PLACE };
+        let variances = Vector::new(horizontal * horizontal, horizontal * horizontal, HEIGHT * HEIGHT);
         let error = Matrix3::from_diagonal(&variances);
         let innovation = local_from_tracking.translation.vector - estimate.place;
         let expected = estimate.covariance_of(InertialEntry::Place) + error;

@@ -30,7 +30,7 @@ use portolan_recall::Memory;
 use portolan_sensor::{ImuData, OdometryData, RangeDataCollator, SensorId, TimedPointCloudData};
 use portolan_submaps::Submap2d;
 
-use crate::{InsertionSubmap, LocalSlam, LocalSlamError, MatchingResult, Planar, count_collated};
+use crate::{InsertionSubmap, LocalSlam, LocalSlamError, MatchingResult, Space2d, count_collated};
 pub use belief::refutes_place;
 use front_end::FrontEnd;
 use start::{FirstMotion, Held, Role, Start, Velocity};
@@ -82,7 +82,7 @@ impl LocalSlam2d {
     }
 
     /// Goes on with what was held back, with the motion that explains it best.
-    fn begin(&mut self) -> Vec<MatchingResult<Planar>> {
+    fn begin(&mut self) -> Vec<MatchingResult<Space2d>> {
         let (motion, held) = self.start.decided();
         match motion {
             FirstMotion::Odometry => {}
@@ -96,7 +96,7 @@ impl LocalSlam2d {
         results
     }
 
-    fn hand_on(&mut self, held: Vec<Held>) -> Vec<MatchingResult<Planar>> {
+    fn hand_on(&mut self, held: Vec<Held>) -> Vec<MatchingResult<Space2d>> {
         held.into_iter().flat_map(|measurement| measurement.given_to(&mut self.front_end)).collect()
     }
 
@@ -108,12 +108,12 @@ impl LocalSlam2d {
     }
 }
 
-impl LocalSlam<Planar> for LocalSlam2d {
+impl LocalSlam<Space2d> for LocalSlam2d {
     fn add_range_data(
         &mut self,
         sensor_id: &SensorId,
         data: TimedPointCloudData,
-    ) -> Vec<MatchingResult<Planar>> {
+    ) -> Vec<MatchingResult<Space2d>> {
         let Some(ranges) = self.collator.add(&sensor_id.id, data) else { return Vec::new() };
         // While it is watched how the scanner moves, scans have to tell it.
         if ranges.points.is_empty() && (self.start.is_open() || !self.front_end.is_adaptive()) {
@@ -136,7 +136,7 @@ impl LocalSlam<Planar> for LocalSlam2d {
         }
     }
 
-    fn add_odometry_data(&mut self, data: &OdometryData) -> Vec<MatchingResult<Planar>> {
+    fn add_odometry_data(&mut self, data: &OdometryData) -> Vec<MatchingResult<Space2d>> {
         if self.start.is_open() {
             self.start.hold(Held::Odometry(*data));
             return Vec::new();
@@ -146,7 +146,7 @@ impl LocalSlam<Planar> for LocalSlam2d {
         results
     }
 
-    fn flush(&mut self) -> Vec<MatchingResult<Planar>> {
+    fn flush(&mut self) -> Vec<MatchingResult<Space2d>> {
         let mut results = if self.start.is_open() { self.begin() } else { Vec::new() };
         results.extend(self.front_end.flush());
         results
@@ -156,7 +156,7 @@ impl LocalSlam<Planar> for LocalSlam2d {
         self.front_end.remember_with(memory);
     }
 
-    fn finish(&mut self) -> Vec<InsertionSubmap<Planar>> {
+    fn finish(&mut self) -> Vec<InsertionSubmap<Space2d>> {
         self.front_end.finish()
     }
 

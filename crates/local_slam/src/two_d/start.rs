@@ -20,7 +20,7 @@ use super::posterior::{BeamEvidence, MotionPrior};
 use super::prediction_error::PredictionSigmas;
 use super::scan::Scan;
 use super::tracking::{Found, Tracker};
-use crate::{MOST_GATHERED_POINTS, MatchingResult, Planar};
+use crate::{MOST_GATHERED_POINTS, MatchingResult, Space2d};
 
 /// So long the motion is watched before it is judged.
 const WATCHED: Duration = Duration::from_ticks(10_000_000);
@@ -61,7 +61,7 @@ const USUAL: f64 = 25.0;
 /// stand at speed (docs/experiments/2026-11-planar-starts.md).
 const ODOMETRY_WORKS: f64 = 100.0;
 
-/// A velocity in the plane.
+/// A velocity in 2D.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Velocity {
     /// m/s.
@@ -100,7 +100,7 @@ pub(super) enum Held {
 
 impl Held {
     /// Hands it on.
-    pub fn given_to(self, front_end: &mut FrontEnd) -> Vec<MatchingResult<Planar>> {
+    pub fn given_to(self, front_end: &mut FrontEnd) -> Vec<MatchingResult<Space2d>> {
         match self {
             Self::Ranges(ranges) => front_end.add_ranges(ranges),
             Self::Imu(data) => {

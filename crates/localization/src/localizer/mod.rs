@@ -70,7 +70,7 @@ pub enum LocalizerError {
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
-/// Finds a lidar in a saved map: a [`PlanarMap`](crate::PlanarMap) or a [`SpatialMap`](crate::SpatialMap).
+/// Finds a lidar in a saved map: a [`KnownMap2d`](crate::KnownMap2d) or a [`KnownMap3d`](crate::KnownMap3d).
 ///
 /// Local SLAM gives the motion from scan to scan; what it draws is forgotten. Memory does not grow with time.
 pub struct Localizer<M: KnownMap> {

@@ -14,10 +14,10 @@ pub enum MapConversionError {
     File(#[from] PbstreamError),
     /// A 3D map where a 2D map is wanted.
     #[error("this is a 3D map, and a 2D map is wanted; a 3D map is continued with a 3D recording")]
-    ThreeDimensional,
+    ThreeD,
     /// A 2D map where a 3D map is wanted.
     #[error("2D map where a 3D map is wanted")]
-    TwoDimensional,
+    TwoD,
     /// A trajectory twice.
     #[error("the map has trajectory {0} twice; `repair` keeps one of them")]
     DuplicateTrajectory(i32),

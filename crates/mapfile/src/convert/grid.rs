@@ -3,7 +3,7 @@
 use portolan_geometry::Vector2;
 use portolan_grids::{CellBox, CellIndex, Grid2d, GridError, GridParts, GridRepairs, MapLimits, TsdfParts};
 use portolan_issue::{IssueKind, IssueLog};
-use portolan_mapping::{Planar, Space};
+use portolan_mapping::{Space, Space2d};
 use portolan_submaps::Submap2d;
 use prost::Message as _;
 
@@ -17,7 +17,7 @@ use portolan_pbstream::proto::transform::Vector2d;
 use portolan_pbstream::{IdInFile, pose_to_proto};
 
 /// A space whose submaps files can hold.
-pub trait MapSpace: Space {
+pub trait MapFileSpace: Space {
     /// What reads and writes maps of this space.
     fn file_work() -> &'static FileWork<Self>;
 
@@ -35,9 +35,9 @@ pub trait MapSpace: Space {
     ) -> Result<(Self::Submap, bool), MapConversionError>;
 }
 
-static FILE_WORK: FileWork<Planar> = FileWork::compiled();
+static FILE_WORK: FileWork<Space2d> = FileWork::compiled();
 
-impl MapSpace for Planar {
+impl MapFileSpace for Space2d {
     fn file_work() -> &'static FileWork<Self> {
         &FILE_WORK
     }
@@ -57,7 +57,7 @@ impl MapSpace for Planar {
         issues: &mut IssueLog,
     ) -> Result<(Submap2d, bool), MapConversionError> {
         if message.submap_3d.is_some() {
-            return Err(MapConversionError::ThreeDimensional);
+            return Err(MapConversionError::ThreeD);
         }
         let what = "submap";
         let submap = message.submap_2d.ok_or(MapConversionError::Content { what, id })?;

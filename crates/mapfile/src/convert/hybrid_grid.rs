@@ -2,20 +2,20 @@
 
 use portolan_grids::{HybridGrid, HybridGridParts, HybridGridRepairs};
 use portolan_issue::{IssueKind, IssueLog};
-use portolan_mapping::Spatial;
+use portolan_mapping::Space3d;
 use portolan_submaps::Submap3d;
 use prost::Message as _;
 
 use super::planes::{planes_from_proto, planes_to_proto};
 use super::values::pose_in_file;
 use super::work::FileWork;
-use super::{MapConversionError, MapSpace};
+use super::{MapConversionError, MapFileSpace};
 use portolan_pbstream::proto::mapping as m;
 use portolan_pbstream::{IdInFile, pose_to_proto};
 
-static FILE_WORK: FileWork<Spatial> = FileWork::compiled();
+static FILE_WORK: FileWork<Space3d> = FileWork::compiled();
 
-impl MapSpace for Spatial {
+impl MapFileSpace for Space3d {
     fn file_work() -> &'static FileWork<Self> {
         &FILE_WORK
     }
@@ -38,7 +38,7 @@ impl MapSpace for Spatial {
         issues: &mut IssueLog,
     ) -> Result<(Submap3d, bool), MapConversionError> {
         if message.submap_2d.is_some() {
-            return Err(MapConversionError::TwoDimensional);
+            return Err(MapConversionError::TwoD);
         }
         let what = "submap";
         let submap = message.submap_3d.ok_or(MapConversionError::Content { what, id })?;

@@ -1,6 +1,6 @@
 //! Between map files and maps in memory (`formats.md` §2.1, §2.2, §4).
 //!
-//! One writer and one reader for 2D and 3D ([`MapSpace`]); what differs is the content of a submap.
+//! One writer and one reader for 2D and 3D ([`MapFileSpace`]); what differs is the content of a submap.
 
 mod error;
 mod grid;
@@ -20,7 +20,7 @@ mod work;
 mod write;
 
 pub use error::MapConversionError;
-pub use grid::{MapSpace, encode_grid_2d};
+pub use grid::{MapFileSpace, encode_grid_2d};
 pub use hybrid_grid::encode_hybrid_grid;
 pub(crate) use read::node_data;
 pub use read::{

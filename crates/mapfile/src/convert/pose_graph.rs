@@ -7,7 +7,7 @@ use portolan_mapping::{
     Constraint, ConstraintTag, GraphState, PoseGraph, SubmapId, TrajectoryId, TrajectoryState,
 };
 
-use super::grid::MapSpace;
+use super::grid::MapFileSpace;
 use super::values::{id_to_proto, node_id_to_proto, submap_id_to_proto};
 use super::{MapConversionError, WriteReport};
 use portolan_pbstream::pose_to_proto;
@@ -27,7 +27,7 @@ pub(super) struct Selection {
 impl Selection {
     /// Chooses: all trajectories that are not deleted, and the submaps that have a grid and, unless
     /// `include_unfinished`, are finished.
-    pub fn new<S: MapSpace>(state: &GraphState<S>, include_unfinished: bool) -> Self {
+    pub fn new<S: MapFileSpace>(state: &GraphState<S>, include_unfinished: bool) -> Self {
         let mut seen = BTreeSet::new();
         let living = state.trajectories.iter().filter(|(_, t)| t.state != TrajectoryState::Deleted);
         let trajectories = (state.submaps.keys().map(|id| id.trajectory_id))
@@ -44,7 +44,7 @@ impl Selection {
 }
 
 /// The message. What is left out is counted.
-pub(super) fn pose_graph_to_proto<S: MapSpace>(
+pub(super) fn pose_graph_to_proto<S: MapFileSpace>(
     graph: &PoseGraph<S>,
     selection: &Selection,
     report: &mut WriteReport,
@@ -63,7 +63,7 @@ pub(super) fn pose_graph_to_proto<S: MapSpace>(
     })
 }
 
-fn trajectories<S: MapSpace>(
+fn trajectories<S: MapFileSpace>(
     state: &GraphState<S>,
     selection: &Selection,
 ) -> Result<Vec<m::Trajectory>, MapConversionError> {
@@ -90,7 +90,7 @@ fn trajectories<S: MapSpace>(
     Ok(selection.trajectories.iter().filter_map(|id| by_id.remove(id)).collect())
 }
 
-fn constraints<S: MapSpace>(
+fn constraints<S: MapFileSpace>(
     state: &GraphState<S>,
     selection: &Selection,
     report: &mut WriteReport,
@@ -124,7 +124,7 @@ fn tag_to_proto(constraint: &Constraint) -> Tag {
 
 /// In files 2D constraints are to the tracking frame too. What is turned is rounded to 1e-12, so that
 /// turning it back and forth in reading and writing always gives the same bytes.
-fn pose_for_file<S: MapSpace>(submap_from_node: &Rigid3, gravity_alignment: &Quaternion) -> Rigid3 {
+fn pose_for_file<S: MapFileSpace>(submap_from_node: &Rigid3, gravity_alignment: &Quaternion) -> Rigid3 {
     let turned = S::tracking_pose(submap_from_node, gravity_alignment);
     if turned == *submap_from_node {
         return *submap_from_node;
@@ -141,7 +141,7 @@ fn pose_for_file<S: MapSpace>(submap_from_node: &Rigid3, gravity_alignment: &Qua
 const ROUNDING: f64 = 1_099_511_627_776.0;
 
 /// The inverse of [`pose_for_file`].
-pub(super) fn pose_in_memory<S: MapSpace>(
+pub(super) fn pose_in_memory<S: MapFileSpace>(
     submap_from_tracking: Rigid3,
     gravity_alignment: &Quaternion,
 ) -> Rigid3 {

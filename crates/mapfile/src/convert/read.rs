@@ -9,12 +9,12 @@ use portolan_config::{Options, PoseGraphOptions};
 use portolan_geometry::{Rigid3, Time, is_on_earth};
 use portolan_issue::{IssueKind, IssueLog};
 use portolan_mapping::{
-    Constraint, ConstraintTag, EndedTrajectory, InitialTrajectoryPose, Map, NodeData, NodeId, Planar,
-    PoseGraph, ScanPose, SubmapId, TrajectoryId, of_trajectory,
+    Constraint, ConstraintTag, EndedTrajectory, InitialTrajectoryPose, Map, NodeData, NodeId, PoseGraph,
+    ScanPose, Space2d, SubmapId, TrajectoryId, of_trajectory,
 };
 
 use super::MapConversionError;
-use super::grid::MapSpace;
+use super::grid::MapFileSpace;
 use super::pose_graph::pose_in_memory;
 use super::sensors::{imu_state_from_proto, load_sensor_data};
 use super::trajectory_options::{initial_pose_from_proto, trajectory_options_from_proto};
@@ -62,7 +62,7 @@ impl FrozenTrajectories {
 }
 
 /// A map as a file holds it.
-pub struct LoadedMap<S: MapSpace> {
+pub struct LoadedMap<S: MapFileSpace> {
     /// Nodes, submaps, constraints, measurements.
     pub graph: PoseGraph<S>,
     /// Options and sensors of each trajectory; its nodes as scans.
@@ -75,7 +75,7 @@ pub struct LoadedMap<S: MapSpace> {
     pub issues: IssueLog,
 }
 
-impl<S: MapSpace> LoadedMap<S> {
+impl<S: MapFileSpace> LoadedMap<S> {
     /// As a finished map; `options` count for what is added later.
     pub fn into_map(self, options: Options) -> Map<S> {
         Map::new(options, self.graph, self.trajectories)
@@ -100,7 +100,7 @@ pub struct LoadedTrajectories {
 pub fn read_map_2d(
     path: impl AsRef<Path>,
     settings: &MapLoadSettings,
-) -> Result<LoadedMap<Planar>, MapConversionError> {
+) -> Result<LoadedMap<Space2d>, MapConversionError> {
     read_map(path, settings)
 }
 
@@ -109,7 +109,7 @@ pub fn read_map_2d(
 /// # Errors
 /// If the file is damaged or no pbstream; a map of the other dimension; trajectories twice; grids, poses or
 /// clouds that cannot be. Parts that do not belong together are left out and counted instead.
-pub fn read_map<S: MapSpace>(
+pub fn read_map<S: MapFileSpace>(
     path: impl AsRef<Path>,
     settings: &MapLoadSettings,
 ) -> Result<LoadedMap<S>, MapConversionError> {
@@ -130,7 +130,7 @@ pub fn read_map<S: MapSpace>(
 ///
 /// # Errors
 /// As [`read_map`]; the graph may have a part of the map then and should be dropped.
-pub fn load_map<S: MapSpace>(
+pub fn load_map<S: MapFileSpace>(
     reader: &mut MapReader,
     graph: &mut PoseGraph<S>,
     frozen: &FrozenTrajectories,
@@ -138,7 +138,7 @@ pub fn load_map<S: MapSpace>(
     (S::file_work().load)(reader, graph, frozen)
 }
 
-pub(super) fn load_map_here<S: MapSpace>(
+pub(super) fn load_map_here<S: MapFileSpace>(
     reader: &mut MapReader,
     graph: &mut PoseGraph<S>,
     frozen: &FrozenTrajectories,
@@ -167,7 +167,7 @@ pub(super) fn load_map_here<S: MapSpace>(
 }
 
 /// A map on its way from a file into a graph.
-struct Loading<'a, S: MapSpace> {
+struct Loading<'a, S: MapFileSpace> {
     graph: &'a mut PoseGraph<S>,
     frozen: &'a FrozenTrajectories,
     /// Global poses by the ids of the file; they leave as their submaps and nodes come.
@@ -176,7 +176,7 @@ struct Loading<'a, S: MapSpace> {
     result: LoadedTrajectories,
 }
 
-impl<'a, S: MapSpace> Loading<'a, S> {
+impl<'a, S: MapFileSpace> Loading<'a, S> {
     fn start(
         reader: &MapReader,
         graph: &'a mut PoseGraph<S>,

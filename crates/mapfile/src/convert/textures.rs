@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use portolan_geometry::Rigid3;
 use portolan_grids::Texture;
-use portolan_mapping::{Map, Planar, Space, Spatial, SubmapId};
+use portolan_mapping::{Map, Space, Space2d, Space3d, SubmapId};
 use rayon::prelude::*;
 
 use super::hybrid_grid::hybrid_grid_to_proto;
@@ -15,7 +15,7 @@ use crate::texture_3d::xray_texture;
 
 /// The textures of all submaps that have a grid, ascending by id: what [`crate::paint`] takes, without
 /// the way through a file.
-pub fn submap_textures_2d(map: &Map<Planar>) -> Vec<PlacedTexture> {
+pub fn submap_textures_2d(map: &Map<Space2d>) -> Vec<PlacedTexture> {
     placed_textures(map, |submap, _| {
         Some(texture_in_memory(&Texture::of_grid(&submap.grid, &submap.local_from_submap)))
     })
@@ -23,7 +23,7 @@ pub fn submap_textures_2d(map: &Map<Planar>) -> Vec<PlacedTexture> {
 
 /// The same in 3D: X-rays of the fine grids, as [`load_textures`](crate::load_textures) makes them of the file that
 /// is written of the map. Submaps that cannot be shown are left out.
-pub fn submap_textures_3d(map: &Map<Spatial>) -> Vec<PlacedTexture> {
+pub fn submap_textures_3d(map: &Map<Space3d>) -> Vec<PlacedTexture> {
     placed_textures(map, |submap, map_from_submap| {
         xray_texture(&hybrid_grid_to_proto(&submap.high_resolution_grid), map_from_submap).ok()
     })

@@ -7,16 +7,16 @@ use portolan_config::Options;
 use portolan_mapping::{EndedTrajectory, PoseGraph, TrajectoryId};
 use portolan_pbstream::{Finding, MapReader};
 
-use super::grid::MapSpace;
+use super::grid::MapFileSpace;
 use super::read::{FrozenTrajectories, LoadedTrajectories, load_map_here};
 use super::write::{WriteReport, check_graph_here, write_graph_here};
 use crate::MapConversionError;
 
 /// The functions behind [`load_map`](crate::load_map), [`write_graph`](crate::write_graph) and
 /// [`check_graph`](crate::check_graph). A generic function is compiled again by every crate and program that calls it;
-/// [`MapSpace::file_work`] gives them as they were compiled here.
+/// [`MapFileSpace::file_work`] gives them as they were compiled here.
 #[allow(clippy::type_complexity)]
-pub struct FileWork<S: MapSpace> {
+pub struct FileWork<S: MapFileSpace> {
     pub(super) load: fn(
         &mut MapReader,
         &mut PoseGraph<S>,
@@ -32,7 +32,7 @@ pub struct FileWork<S: MapSpace> {
     pub(super) check: fn(&PoseGraph<S>) -> Result<Vec<Finding>, MapConversionError>,
 }
 
-impl<S: MapSpace> FileWork<S> {
+impl<S: MapFileSpace> FileWork<S> {
     /// For a static item of the space.
     pub(super) const fn compiled() -> Self {
         Self { load: load_map_here, write: write_graph_here, check: check_graph_here }

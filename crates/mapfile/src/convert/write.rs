@@ -5,12 +5,12 @@ use std::path::Path;
 
 use portolan_config::Options;
 use portolan_mapping::{
-    EndedTrajectory, Map, Node, NodeData, NodeId, Planar, PoseGraph, SubmapEntry, SubmapId, TrajectoryId,
+    EndedTrajectory, Map, Node, NodeData, NodeId, PoseGraph, Space2d, SubmapEntry, SubmapId, TrajectoryId,
 };
 use rayon::prelude::*;
 
 use super::MapConversionError;
-use super::grid::MapSpace;
+use super::grid::MapFileSpace;
 use super::pose_graph::{Selection, pose_graph_to_proto};
 use super::sensors::write_sensors;
 use super::trajectory_options::trajectory_options_to_proto;
@@ -44,7 +44,7 @@ pub struct WriteReport {
 /// # Errors
 /// As [`write_map`].
 pub fn write_map_2d(
-    map: &Map<Planar>,
+    map: &Map<Space2d>,
     path: impl AsRef<Path>,
     include_unfinished: bool,
 ) -> Result<WriteReport, MapConversionError> {
@@ -57,7 +57,7 @@ pub fn write_map_2d(
 ///
 /// # Errors
 /// If the file cannot be written, or a number does not fit the format.
-pub fn write_map<S: MapSpace>(
+pub fn write_map<S: MapFileSpace>(
     map: &Map<S>,
     path: impl AsRef<Path>,
     include_unfinished: bool,
@@ -70,7 +70,7 @@ pub fn write_map<S: MapSpace>(
 ///
 /// # Errors
 /// As [`write_map`].
-pub fn write_graph<S: MapSpace>(
+pub fn write_graph<S: MapFileSpace>(
     graph: &PoseGraph<S>,
     trajectories: &BTreeMap<TrajectoryId, EndedTrajectory>,
     options: &Options,
@@ -80,7 +80,7 @@ pub fn write_graph<S: MapSpace>(
     (S::file_work().write)(graph, trajectories, options, path.as_ref(), include_unfinished)
 }
 
-pub(super) fn write_graph_here<S: MapSpace>(
+pub(super) fn write_graph_here<S: MapFileSpace>(
     graph: &PoseGraph<S>,
     trajectories: &BTreeMap<TrajectoryId, EndedTrajectory>,
     options: &Options,
@@ -105,7 +105,7 @@ pub(super) fn write_graph_here<S: MapSpace>(
 }
 
 /// One entry for each trajectory of the pose graph message, in its order.
-fn all_options_to_proto<S: MapSpace>(
+fn all_options_to_proto<S: MapFileSpace>(
     graph: &PoseGraph<S>,
     selection: &Selection,
     trajectories: &BTreeMap<TrajectoryId, EndedTrajectory>,
@@ -129,18 +129,18 @@ fn all_options_to_proto<S: MapSpace>(
 ///
 /// # Errors
 /// If a number does not fit the format.
-pub fn check_graph<S: MapSpace>(graph: &PoseGraph<S>) -> Result<Vec<Finding>, MapConversionError> {
+pub fn check_graph<S: MapFileSpace>(graph: &PoseGraph<S>) -> Result<Vec<Finding>, MapConversionError> {
     (S::file_work().check)(graph)
 }
 
-pub(super) fn check_graph_here<S: MapSpace>(
+pub(super) fn check_graph_here<S: MapFileSpace>(
     graph: &PoseGraph<S>,
 ) -> Result<Vec<Finding>, MapConversionError> {
     let selection = Selection::new(graph.state(), true);
     Ok(validate_pose_graph(&pose_graph_to_proto(graph, &selection, &mut WriteReport::default())?))
 }
 
-fn write_submaps<S: MapSpace>(
+fn write_submaps<S: MapFileSpace>(
     graph: &PoseGraph<S>,
     selection: &Selection,
     writer: &mut PbstreamWriter,
@@ -157,7 +157,7 @@ fn write_submaps<S: MapSpace>(
     Ok(())
 }
 
-fn submap_to_proto<S: MapSpace>(
+fn submap_to_proto<S: MapFileSpace>(
     id: SubmapId,
     entry: &SubmapEntry<S>,
 ) -> Result<m::Submap, MapConversionError> {
@@ -168,7 +168,7 @@ fn submap_to_proto<S: MapSpace>(
     Ok(message)
 }
 
-fn write_nodes<S: MapSpace>(
+fn write_nodes<S: MapFileSpace>(
     graph: &PoseGraph<S>,
     writer: &mut PbstreamWriter,
     report: &mut WriteReport,

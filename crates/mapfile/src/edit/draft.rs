@@ -197,7 +197,7 @@ impl MapDraft {
         &self.graph
     }
 
-    /// Whether it is of the plane or of space; none of a map without submaps.
+    /// Whether it is in 2D or in 3D; none of a map without submaps.
     pub fn dimension(&self) -> Option<Dimension> {
         self.dimension
     }
@@ -230,7 +230,7 @@ impl MapDraft {
             let up = new_from_old.rotation * nalgebra::Vector3::z();
             new_from_old.translation.z != 0.0 || (up - nalgebra::Vector3::z()).norm() > 1e-9
         };
-        if out_of_plane && self.dimension != Some(Dimension::Three) {
+        if out_of_plane && self.dimension != Some(Dimension::ThreeD) {
             return Err(EditError::Dimension("a 2D map can only be moved and rotated in its plane"));
         }
         super::poses::transform_graph(&mut self.graph, new_from_old);
@@ -289,8 +289,8 @@ impl MapDraft {
 fn dimension(reader: &mut MapReader) -> Result<Option<Dimension>, portolan_pbstream::PbstreamError> {
     while let Some(message) = reader.next_message()? {
         if let Data::Submap(submap) = message.data {
-            let spatial = submap.submap_3d.is_some() && submap.submap_2d.is_none();
-            return Ok(Some(if spatial { Dimension::Three } else { Dimension::Two }));
+            let is_3d = submap.submap_3d.is_some() && submap.submap_2d.is_none();
+            return Ok(Some(if is_3d { Dimension::ThreeD } else { Dimension::TwoD }));
         }
     }
     Ok(None)

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use portolan_geometry::{Dimension, Quaternion, Rigid2, Rigid3, embed_3d, project_2d, yaw};
-use portolan_mapping::{Planar, Space};
+use portolan_mapping::{Space, Space2d};
 use portolan_solver::g2o::{Edge, Graph, GraphPose, PoseGraph, Vertex};
 
 use super::optimize::Collected;
@@ -20,15 +20,15 @@ impl MapDraft {
     /// If the files cannot be read or a node lacks its poses.
     pub fn to_graph(&self) -> Result<Graph, EditError> {
         let gravity = Collected::read(self)?.gravity_alignments();
-        if self.dimension == Some(Dimension::Three) {
-            return Ok(Graph::Spatial(self.build_graph(|pose, _| *pose, spatial_information)));
+        if self.dimension == Some(Dimension::ThreeD) {
+            return Ok(Graph::ThreeD(self.build_graph(|pose, _| *pose, information_3d)));
         }
-        let planar = |pose: &Rigid3, id: Option<IdInFile>| {
+        let pose_2d = |pose: &Rigid3, id: Option<IdInFile>| {
             let gravity = id.and_then(|id| gravity.get(&id)).copied().unwrap_or_else(Quaternion::identity);
-            let levelled = project_2d(&Planar::graph_pose(pose, &gravity)) * heading_of(&gravity);
+            let levelled = project_2d(&Space2d::graph_pose(pose, &gravity)) * heading_of(&gravity);
             Rigid2 { angle: levelled.normalized_angle(), ..levelled }
         };
-        Ok(Graph::Planar(self.build_graph(planar, planar_information)))
+        Ok(Graph::TwoD(self.build_graph(pose_2d, information_2d)))
     }
 
     fn build_graph<P: GraphPose>(
@@ -73,10 +73,10 @@ impl MapDraft {
     /// If the graph is of another dimension or does not have the vertices of this map.
     pub fn take_graph_poses(&mut self, graph: &Graph) -> Result<(), EditError> {
         let (submaps, nodes) = (submap_poses(&self.graph), self.all_node_poses());
-        let spatial = self.dimension == Some(Dimension::Three);
+        let is_3d = self.dimension == Some(Dimension::ThreeD);
         let poses: BTreeMap<i64, Rigid3> = match graph {
-            Graph::Spatial(g) if spatial => g.vertices.iter().map(|v| (v.id, v.pose)).collect(),
-            Graph::Planar(g) if !spatial => g.vertices.iter().map(|v| (v.id, embed_3d(&v.pose))).collect(),
+            Graph::ThreeD(g) if is_3d => g.vertices.iter().map(|v| (v.id, v.pose)).collect(),
+            Graph::TwoD(g) if !is_3d => g.vertices.iter().map(|v| (v.id, embed_3d(&v.pose))).collect(),
             _ => {
                 return Err(EditError::Poses("the graph and the map are of different dimensions".to_owned()));
             }
@@ -94,9 +94,9 @@ impl MapDraft {
         let mut ordered = poses.into_values();
         let new_submaps = submaps.keys().copied().zip(ordered.by_ref()).collect();
         let new_nodes = nodes.keys().copied().zip(ordered).map(|(id, pose)| match gravity.get(&id) {
-            Some(gravity) if !spatial => {
+            Some(gravity) if !is_3d => {
                 let aligned = pose * embed_3d(&heading_of(gravity).inverse());
-                (id, Planar::tracking_pose(&aligned, gravity))
+                (id, Space2d::tracking_pose(&aligned, gravity))
             }
             _ => (id, pose),
         });
@@ -116,12 +116,12 @@ fn squared(weight: f64) -> Option<f64> {
     (weight.is_finite() && weight >= 0.0).then_some(weight * weight)
 }
 
-fn planar_information(translation: f64, rotation: f64) -> Option<<Rigid2 as GraphPose>::Information> {
+fn information_2d(translation: f64, rotation: f64) -> Option<<Rigid2 as GraphPose>::Information> {
     let (t, r) = (squared(translation)?, squared(rotation)?);
     Rigid2::information_from_upper(&[t, 0.0, 0.0, t, 0.0, r])
 }
 
-fn spatial_information(translation: f64, rotation: f64) -> Option<<Rigid3 as GraphPose>::Information> {
+fn information_3d(translation: f64, rotation: f64) -> Option<<Rigid3 as GraphPose>::Information> {
     let diagonal = [squared(translation)?; 3].into_iter().chain([squared(rotation)?; 3]);
     let mut upper = Vec::with_capacity(21);
     for (row, value) in diagonal.enumerate() {

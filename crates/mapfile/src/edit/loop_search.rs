@@ -4,11 +4,11 @@ use portolan_config::ConstraintBuilderOptions;
 use portolan_geometry::{Dimension, Rigid3, rotation_angle};
 use portolan_grids::ScanAgreement;
 use portolan_issue::IssueLog;
-use portolan_mapping::{MatchAcceptance, NodeData, Planar, SearchRegion, Space, Spatial};
+use portolan_mapping::{MatchAcceptance, NodeData, SearchRegion, Space, Space2d, Space3d};
 use serde::Serialize;
 
 use super::{EditError, MapDraft};
-use crate::convert::{MapSpace, node_data};
+use crate::convert::{MapFileSpace, node_data};
 use portolan_pbstream::MapReader;
 use portolan_pbstream::proto::mapping::serialized_data::Data;
 use portolan_pbstream::{IdInFile, node_id, submap_id, submap_poses};
@@ -41,12 +41,12 @@ impl MapDraft {
     ) -> Result<FoundLoop, EditError> {
         self.require_parts(submap, node)?;
         match self.dimension {
-            Some(Dimension::Three) => self.find_loop_in::<Spatial>(submap, node, options),
-            _ => self.find_loop_in::<Planar>(submap, node, options),
+            Some(Dimension::ThreeD) => self.find_loop_in::<Space3d>(submap, node, options),
+            _ => self.find_loop_in::<Space2d>(submap, node, options),
         }
     }
 
-    fn find_loop_in<S: MapSpace>(
+    fn find_loop_in<S: MapFileSpace>(
         &self,
         submap: IdInFile,
         node: IdInFile,
@@ -97,17 +97,17 @@ impl MapDraft {
         submap_from_node: &Rigid3,
     ) -> Result<Option<ScanAgreement>, EditError> {
         self.require_parts(submap, node)?;
-        if self.dimension == Some(Dimension::Three) {
+        if self.dimension == Some(Dimension::ThreeD) {
             return Ok(None);
         }
-        let (Some(grid), Some(scan)) = self.load_pair::<Planar>(submap, node)? else { return Ok(None) };
-        let pose = Planar::graph_pose(submap_from_node, &scan.gravity_alignment);
+        let (Some(grid), Some(scan)) = self.load_pair::<Space2d>(submap, node)? else { return Ok(None) };
+        let pose = Space2d::graph_pose(submap_from_node, &scan.gravity_alignment);
         let nothing = ScanAgreement { explained: 0.0, in_free_space: 0.0, through_solid: 0.0 };
-        Ok(Some(Planar::agreement(&grid, &scan, &pose).unwrap_or(nothing)))
+        Ok(Some(Space2d::agreement(&grid, &scan, &pose).unwrap_or(nothing)))
     }
 
     /// Where the node is in the submap by the poses of the map.
-    fn guess<S: MapSpace>(&self, submap: IdInFile, node: IdInFile, scan: &NodeData) -> Rigid3 {
+    fn guess<S: MapFileSpace>(&self, submap: IdInFile, node: IdInFile, scan: &NodeData) -> Rigid3 {
         let poses = (submap_poses(&self.graph), self.all_node_poses());
         match (poses.0.get(&submap), poses.1.get(&node)) {
             (Some(map_from_submap), Some(map_from_node)) => {
@@ -118,7 +118,7 @@ impl MapDraft {
     }
 
     /// The grid and the scan from their files.
-    fn load_pair<S: MapSpace>(
+    fn load_pair<S: MapFileSpace>(
         &self,
         submap: IdInFile,
         node: IdInFile,

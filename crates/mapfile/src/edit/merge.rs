@@ -8,7 +8,7 @@ use portolan_config::Options;
 use portolan_geometry::{Dimension, NearFrame, Rigid3};
 use portolan_issue::IssueLog;
 use portolan_mapping::{
-    Constraint, ConstraintTag, NodeId, Planar, PoseGraph, PoseGraphPolicy, Spatial, SubmapId, TrajectoryId,
+    Constraint, ConstraintTag, NodeId, PoseGraph, PoseGraphPolicy, Space2d, Space3d, SubmapId, TrajectoryId,
 };
 use portolan_sensor::LandmarkData;
 use serde::Serialize;
@@ -18,7 +18,7 @@ use super::optimize::{
     Collected, MapOptimization, in_file, node_in_memory, submap_in_memory, trajectory_in_memory,
 };
 use super::{EditError, MapDraft};
-use crate::convert::{MapSpace, node_data};
+use crate::convert::{MapFileSpace, node_data};
 use portolan_pbstream::MapReader;
 use portolan_pbstream::proto::mapping::pose_graph::Constraint as ConstraintMessage;
 use portolan_pbstream::proto::mapping::pose_graph::constraint::Tag;
@@ -57,13 +57,13 @@ impl MapDraft {
         let ids = self.append(path, &Rigid3::identity())?;
         self.require_on_earth()?;
         match self.dimension {
-            Some(Dimension::Three) => self.join::<Spatial>(path, ids, options, &frame),
-            _ => self.join::<Planar>(path, ids, options, &frame),
+            Some(Dimension::ThreeD) => self.join::<Space3d>(path, ids, options, &frame),
+            _ => self.join::<Space2d>(path, ids, options, &frame),
         }
     }
 
     /// Joined in a frame near this map, where the other one comes to lie.
-    fn join<S: MapSpace>(
+    fn join<S: MapFileSpace>(
         &mut self,
         path: &Path,
         ids: BTreeMap<i32, i32>,
@@ -96,7 +96,7 @@ impl MapDraft {
     }
 
     /// The draft as mapping has it.
-    fn pose_graph_in_memory<S: MapSpace>(
+    fn pose_graph_in_memory<S: MapFileSpace>(
         &self,
         collected: &Collected,
         options: &Options,
@@ -134,7 +134,7 @@ impl MapDraft {
         Ok(graph)
     }
 
-    fn load_submaps_and_nodes<S: MapSpace>(&self, graph: &mut PoseGraph<S>) -> Result<(), EditError> {
+    fn load_submaps_and_nodes<S: MapFileSpace>(&self, graph: &mut PoseGraph<S>) -> Result<(), EditError> {
         let (submap_poses, node_poses) = (submap_poses(&self.graph), self.all_node_poses());
         for source in &self.sources {
             let failed = |error| EditError::File { path: source.path.clone(), source: error };
@@ -169,7 +169,7 @@ impl MapDraft {
 
     /// Takes out the loop closures that were dropped and puts in those that were found; returns how many relate the
     /// joined trajectories to the others.
-    fn take_over_loops<S: MapSpace>(
+    fn take_over_loops<S: MapFileSpace>(
         &mut self,
         graph: &PoseGraph<S>,
         joining: &BTreeSet<TrajectoryId>,

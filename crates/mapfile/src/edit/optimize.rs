@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 use portolan_config::Options;
 use portolan_geometry::{Dimension, Rigid3, Time};
-use portolan_mapping::{Constraint, ConstraintTag, NodeId, Planar, Space, Spatial, SubmapId, TrajectoryId};
+use portolan_mapping::{Constraint, ConstraintTag, NodeId, Space, Space2d, Space3d, SubmapId, TrajectoryId};
 use portolan_optimization::{
     OptimizationData, OptimizationNode, OptimizationSummary, TrajectoryConnectivity,
 };
@@ -51,8 +51,8 @@ impl MapDraft {
     pub fn optimize(&mut self, options: &Options, iterations: u32) -> Result<MapOptimization, EditError> {
         self.require_on_earth()?;
         match self.dimension {
-            Some(Dimension::Three) => self.optimize_in::<Spatial>(options, iterations),
-            _ => self.optimize_in::<Planar>(options, iterations),
+            Some(Dimension::ThreeD) => self.optimize_in::<Space3d>(options, iterations),
+            _ => self.optimize_in::<Space2d>(options, iterations),
         }
     }
 

@@ -57,8 +57,8 @@ impl<'a> Rest<'a> {
             submaps.extend(trajectory.submap.iter().map(|s| (t, s.submap_index)));
             nodes.extend(trajectory.node.iter().map(|n| (t, n.node_index)));
         }
-        let in_space = graph.trajectory.iter().filter(|_| dimension == Some(Dimension::Three));
-        let derived = in_space.map(|t| (t.trajectory_id, DerivedImu::of(t)));
+        let in_3d = graph.trajectory.iter().filter(|_| dimension == Some(Dimension::ThreeD));
+        let derived = in_3d.map(|t| (t.trajectory_id, DerivedImu::of(t)));
         Self {
             submaps,
             nodes,

@@ -52,7 +52,7 @@ impl SmallMap {
         };
         let mut rest: Vec<Data> = (0..2).map(|i| Data::Submap(submap(i, three_d))).collect();
         rest.extend((0..3).map(|i| Data::Node(node(i))));
-        // In space also the sample of an IMU, without which other programs take no map.
+        // In 3D also the sample of an IMU, without which other programs take no map.
         if three_d {
             let imu_data = Some(sensor::ImuData {
                 timestamp: -1,

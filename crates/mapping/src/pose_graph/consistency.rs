@@ -214,20 +214,20 @@ fn near_by() -> impl Iterator<Item = Rigid3> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Planar;
+    use crate::Space2d;
     use crate::made_rooms::{node, submap};
 
     #[test]
     fn a_scan_of_one_room_contradicts_another_that_lies_over_it() {
         let (large, small) = ((9.0, 7.0), (6.0, 5.0));
         let agreement =
-            |of, at, pose: &Rigid3| Planar::agreement(&submap(of), &node(large, at), pose).unwrap();
+            |of, at, pose: &Rigid3| Space2d::agreement(&submap(of), &node(large, at), pose).unwrap();
         let seen_there = agreement(large, (1.0, -0.5), &Rigid3::translation(1.0, -0.5, 0.0));
         assert!(seen_there.explained > 0.9 && !refutes_place(&seen_there), "{seen_there:?}");
         let elsewhere = agreement(small, (0.0, 0.0), &Rigid3::identity());
         assert!(refutes_place(&elsewhere), "{elsewhere:?}");
         let outside = Rigid3::translation(7.0, 0.0, 0.0);
-        assert!(Planar::agreement(&submap(large), &node(large, (0.0, 0.0)), &outside).is_none());
+        assert!(Space2d::agreement(&submap(large), &node(large, (0.0, 0.0)), &outside).is_none());
     }
 
     #[test]

@@ -38,8 +38,8 @@ impl<S: Space> PoseGraph<S> {
             return 0;
         }
         let (metres, radians) = match S::DIMENSION {
-            Dimension::Two => MIN_IN_PLANE,
-            Dimension::Three => MIN_IN_SPACE,
+            Dimension::TwoD => MIN_IN_PLANE,
+            Dimension::ThreeD => MIN_IN_SPACE,
         };
         let translation_limit = metres.max(TIMES_MEDIAN * median(&mut translations).unwrap_or(0.0));
         let rotation_limit = radians.max(TIMES_MEDIAN * median(&mut rotations).unwrap_or(0.0));

@@ -138,12 +138,12 @@ mod tests {
 
     use super::*;
     use crate::made_rooms::{node, submap};
-    use crate::{InsertedNode, InsertionSubmap, NodeData, Planar, PoseGraphPolicy, of_trajectory};
+    use crate::{InsertedNode, InsertionSubmap, NodeData, PoseGraphPolicy, Space2d, of_trajectory};
 
     const ROOM: (f32, f32) = (9.0, 7.0);
 
     /// Adds a node that was taken after so many seconds, with a complete submap of the room.
-    fn add(graph: &mut PoseGraph<Planar>, id: TrajectoryId, seconds: f64) {
+    fn add(graph: &mut PoseGraph<Space2d>, id: TrajectoryId, seconds: f64) {
         let data = NodeData { time: Time::from_unix_seconds(seconds), ..node(ROOM, (0.5, 0.2)) };
         let finished = Some(Arc::new(submap(ROOM)));
         let submaps = vec![InsertionSubmap { index: 0, local_from_submap: Rigid3::identity(), finished }];
@@ -151,10 +151,10 @@ mod tests {
     }
 
     /// A known trajectory, and another one a hundred seconds later that nothing ties to it.
-    fn known_and_new() -> (PoseGraph<Planar>, [TrajectoryId; 2]) {
+    fn known_and_new() -> (PoseGraph<Space2d>, [TrajectoryId; 2]) {
         let mut options = Options::for_2d();
         options.portolan.loop_search_drift = 0.02;
-        let mut graph = PoseGraph::<Planar>::new(options.map_builder.pose_graph.clone());
+        let mut graph = PoseGraph::<Space2d>::new(options.map_builder.pose_graph.clone());
         graph.set_policy(PoseGraphPolicy::new(&options.portolan));
         let [known, new] = [TrajectoryId(0), TrajectoryId(1)];
         graph.add_trajectory(known, None);

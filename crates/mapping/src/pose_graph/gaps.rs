@@ -130,11 +130,11 @@ mod tests {
 
     use super::*;
     use crate::made_rooms::{node, submap};
-    use crate::{InsertedNode, InsertionSubmap, NodeData, NodeId, OpenShift, Planar, SubmapId};
+    use crate::{InsertedNode, InsertionSubmap, NodeData, NodeId, OpenShift, Space2d, SubmapId};
     use portolan_local_slam::OdometryBridge;
 
     /// A scan of a room of this size at `x` metres in the local map, and the submap that it completes.
-    fn inserted(room: (f32, f32), seconds: f64, x: f64) -> InsertedNode<Planar> {
+    fn inserted(room: (f32, f32), seconds: f64, x: f64) -> InsertedNode<Space2d> {
         let local = Rigid3::translation(x, 0.0, 0.0);
         let data = NodeData {
             time: Time::from_unix_seconds(seconds),
@@ -149,7 +149,7 @@ mod tests {
     #[test]
     fn matches_that_leave_the_way_open_tie_no_parts_but_help_odometry_to() {
         let options = Options::for_2d().map_builder.pose_graph;
-        let mut graph = PoseGraph::<Planar>::new(options);
+        let mut graph = PoseGraph::<Space2d>::new(options);
         graph.policy.min_agreeing = 3;
         let [before, after] = [0, 1].map(TrajectoryId);
         graph.add_trajectory(before, None);
@@ -185,7 +185,7 @@ mod tests {
     /// elsewhere: returns whether any are believed.
     fn is_odometry_believed(is_contradicted: bool) -> bool {
         let options = Options::for_2d().map_builder.pose_graph;
-        let mut graph = PoseGraph::<Planar>::new(options);
+        let mut graph = PoseGraph::<Space2d>::new(options);
         graph.policy.min_agreeing = 3;
         graph.policy.loops.drift = 0.05;
         let [before, after] = [0, 1].map(TrajectoryId);
@@ -234,7 +234,7 @@ mod tests {
 
     fn is_tied_after_a_gap(is_contradicted: bool) {
         let options = Options::for_2d().map_builder.pose_graph;
-        let mut graph = PoseGraph::<Planar>::new(options);
+        let mut graph = PoseGraph::<Space2d>::new(options);
         let [before, after] = [0, 1].map(TrajectoryId);
         graph.add_trajectory(before, None);
         let first = graph.add_node(before, inserted((9.0, 7.0), 0.0, 0.0));

@@ -91,8 +91,8 @@ impl<S: Space> PoseGraph<S> {
             self.problem.open.insert(node_id, inserted.open.clone());
         }
         self.gathered.insert(node_id, inserted.gathered);
-        if node_id.index == 0 && self.starts_where_told(node_id.trajectory_id) {
-            self.problem.told_starts.insert(node_id, map_from_node);
+        if node_id.index == 0 && self.starts_where_given(node_id.trajectory_id) {
+            self.problem.given_starts.insert(node_id, map_from_node);
         }
         self.problem.nodes.insert(
             node_id,
@@ -116,7 +116,7 @@ impl<S: Space> PoseGraph<S> {
     }
 
     /// Whether a start that somebody told ties the trajectory: where it is doubted, too. Cartographer only begins there.
-    fn starts_where_told(&self, id: TrajectoryId) -> bool {
+    fn starts_where_given(&self, id: TrajectoryId) -> bool {
         self.searches_whole_maps()
             && self.state.trajectories.get(&id).is_some_and(|trajectory| trajectory.initial_pose.is_some())
     }

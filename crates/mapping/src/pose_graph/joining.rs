@@ -203,14 +203,14 @@ mod tests {
 
     use super::*;
     use crate::made_rooms::{node, submap};
-    use crate::{InsertedNode, InsertionSubmap, NodeData, Planar, PoseGraphPolicy};
+    use crate::{InsertedNode, InsertionSubmap, NodeData, PoseGraphPolicy, Space2d};
 
     const ROOM: (f32, f32) = (9.0, 7.0);
 
     /// A graph of so many pieces without a place, each of which saw the same room.
-    fn lost_again_and_again(pieces: u32) -> PoseGraph<Planar> {
+    fn lost_again_and_again(pieces: u32) -> PoseGraph<Space2d> {
         let options = Options::for_2d();
-        let mut graph = PoseGraph::<Planar>::new(options.map_builder.pose_graph.clone());
+        let mut graph = PoseGraph::<Space2d>::new(options.map_builder.pose_graph.clone());
         graph.set_policy(PoseGraphPolicy::new(&options.portolan));
         graph.add_trajectory(TrajectoryId(0), None);
         let finished = Arc::new(submap(ROOM));

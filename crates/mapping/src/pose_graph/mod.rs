@@ -14,13 +14,14 @@ mod extension;
 mod final_search;
 mod found_places;
 mod gaps;
+mod given_starts;
 mod insertion;
 mod joining;
 mod lifelong;
 mod localisation;
 mod matcher_cache;
 mod open_nodes;
-mod patching;
+mod patching_2d;
 mod patching_3d;
 mod places;
 mod policy;
@@ -32,7 +33,6 @@ mod search;
 mod shortest_ways;
 mod state;
 mod summary_ties;
-mod told_starts;
 mod travel;
 mod trimmed_nodes;
 mod trimming;
@@ -47,7 +47,7 @@ pub use consistency::Consistency;
 pub use drift::Drift;
 pub use extension::Extension;
 pub use found_places::FoundPlace;
-pub use patching::CellFate;
+pub use patching_2d::CellFate;
 pub use patching_3d::VoxelFate;
 pub use policy::{LoopSearchPolicy, PoseGraphPolicy};
 pub use renewing::{Coverage, Replacement};
@@ -192,7 +192,7 @@ impl<S: Space> PoseGraph<S> {
     /// What is done beyond what Cartographer does. To be set before anything is added.
     pub fn set_policy(&mut self, policy: PoseGraphPolicy) {
         self.problem.doubts_sensors = policy.doubts_sensors;
-        self.localisation.set_wanted(policy.localises_while_recording && S::DIMENSION == Dimension::Three);
+        self.localisation.set_wanted(policy.localises_while_recording && S::DIMENSION == Dimension::ThreeD);
         self.policy = policy;
         self.search.set_policy(self.loop_search());
     }
@@ -363,7 +363,7 @@ impl<S: Space> PoseGraph<S> {
         if self.take_supported() > 0 {
             self.run_optimization();
         }
-        self.doubt_told_starts();
+        self.doubt_given_starts();
         self.search_missed();
         if self.settle_open_loop_closures() {
             self.run_optimization();
@@ -400,7 +400,7 @@ impl<S: Space> PoseGraph<S> {
         self.optimizations += 1;
         self.publish_poses();
         // As in Cartographer only in 3D.
-        if self.options.log_residual_histograms && S::DIMENSION == Dimension::Three {
+        if self.options.log_residual_histograms && S::DIMENSION == Dimension::ThreeD {
             self.log_residuals();
         }
     }

@@ -1,4 +1,4 @@
-//! Cells of submaps of space, and points of nodes, that newer submaps show otherwise.
+//! Cells of 3D submaps, and points of nodes, that newer submaps show otherwise.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -10,12 +10,12 @@ use portolan_submaps::Submap3d;
 
 use super::PoseGraph;
 use super::extension::NearestSubmaps;
-use crate::{Spatial, SubmapId, TrajectoryId, of_trajectory};
+use crate::{Space3d, SubmapId, TrajectoryId, of_trajectory};
 
 /// The probability of a cell in which nothing is any more.
 const FREE: f32 = 0.1;
 
-/// What becomes of a place of space in submaps that were drawn before.
+/// What becomes of a place in 3D submaps that were drawn before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VoxelFate {
     /// It stays as it is.
@@ -43,7 +43,7 @@ fn solid(grid: &HybridGrid, map_from_submap: &Rigid3f) -> Vec<(Point3f, f32)> {
     found
 }
 
-impl PoseGraph<Spatial> {
+impl PoseGraph<Space3d> {
     /// Draws into submaps of other trajectories what those of one show, where `fate` of a point of the map wants it: what is
     /// gone becomes free in all of them, what appeared becomes solid in the one that is nearest to it.
     pub fn patch_voxels(&mut self, newer: TrajectoryId, fate: &dyn Fn(&Point3f) -> VoxelFate) {
@@ -111,7 +111,7 @@ impl PoseGraph<Spatial> {
 
     /// Takes points out of the scans of nodes of other trajectories that lie where something is gone, asked for by points of
     /// the map: what is gone is not to be looked for any more. Scans of which nothing would be left stay.
-    pub fn forget_points_in_space(&mut self, newer: TrajectoryId, is_gone: &dyn Fn(&Point3f) -> bool) {
+    pub fn forget_points_3d(&mut self, newer: TrajectoryId, is_gone: &dyn Fn(&Point3f) -> bool) {
         for (_, node) in self.state.nodes.iter_mut().filter(|(id, _)| id.trajectory_id != newer) {
             let map_from_tracking = to_f32(&node.map_from_tracking);
             let left = |cloud: &PointCloud| -> Option<PointCloud> {

@@ -49,11 +49,11 @@ mod tests {
 
     use super::*;
     use crate::made_rooms::{node, submap};
-    use crate::{InsertedNode, InsertionSubmap, NodeData, Planar, TrajectoryId};
+    use crate::{InsertedNode, InsertionSubmap, NodeData, Space2d, TrajectoryId};
 
     /// Whether a node at so many metres is in reach of a submap whose nodes lie along 100 m.
     fn reaches(is_from_nodes: bool, x: f64) -> bool {
-        let mut graph = PoseGraph::<Planar>::new(Options::for_2d().map_builder.pose_graph);
+        let mut graph = PoseGraph::<Space2d>::new(Options::for_2d().map_builder.pose_graph);
         graph.policy.loops.is_from_nodes = is_from_nodes;
         let id = TrajectoryId(0);
         graph.add_trajectory(id, None);

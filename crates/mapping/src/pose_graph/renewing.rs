@@ -23,7 +23,7 @@ pub struct Replacement {
     pub most_share_alone: f64,
 }
 
-/// Edge of the cells in which is counted what submaps of space cover, metres.
+/// Edge of the cells in which is counted what 3D submaps cover, metres.
 const VOXEL: f64 = 0.5;
 
 /// A cell of the map along x, y and, in 3D, z.
@@ -37,7 +37,7 @@ pub struct Coverage {
     known: HashMap<Cell, usize>,
     /// Edge of a cell, metres.
     cell_size: f64,
-    is_spatial: bool,
+    is_3d: bool,
 }
 
 impl Coverage {
@@ -48,7 +48,7 @@ impl Coverage {
 
     /// Cells, and in 3D those beside them.
     fn with_beside(&self, cells: &BTreeSet<Cell>) -> BTreeSet<Cell> {
-        if !self.is_spatial {
+        if !self.is_3d {
             return cells.clone();
         }
         let near = || -1..=1;
@@ -160,13 +160,13 @@ impl<S: Space> PoseGraph<S> {
     /// The cells of the map that some submaps know.
     pub fn coverage(&self, submaps: impl Iterator<Item = SubmapId>) -> Coverage {
         let mut coverage =
-            Coverage { cells: BTreeMap::new(), known: HashMap::new(), cell_size: 1.0, is_spatial: false };
+            Coverage { cells: BTreeMap::new(), known: HashMap::new(), cell_size: 1.0, is_3d: false };
         for id in submaps {
             let Some(submap) = self.state.submaps.get(&id).and_then(|entry| entry.submap.as_ref()) else {
                 continue;
             };
             if let Some(centers) = S::solid_cell_centers(submap) {
-                (coverage.cell_size, coverage.is_spatial) = (VOXEL, true);
+                (coverage.cell_size, coverage.is_3d) = (VOXEL, true);
                 coverage.add(id, self.voxels(id, &centers));
                 continue;
             }
@@ -292,7 +292,7 @@ mod tests {
 
     use super::*;
     use crate::made_rooms::{node, submap};
-    use crate::{Constraint, ConstraintTag, Planar};
+    use crate::{Constraint, ConstraintTag, Space2d};
 
     const ROOM: (f32, f32) = (9.0, 7.0);
 
@@ -302,7 +302,7 @@ mod tests {
 
     /// Three submaps of a room on a line, half a metre apart; nodes 0, 1, 2, … with a gap after each, each in a submap and
     /// in the next one.
-    fn chain() -> PoseGraph<Planar> {
+    fn chain() -> PoseGraph<Space2d> {
         let mut graph = PoseGraph::new(Options::default().map_builder.pose_graph);
         graph.load_trajectory(TrajectoryId(0), None);
         for index in 0..3 {

@@ -7,7 +7,7 @@ use portolan_geometry::{Rigid3, Time};
 use portolan_optimization::TrajectoryConnectivity;
 
 use super::TrimmedNodes;
-use crate::{Constraint, LocalSpace, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId};
+use crate::{Constraint, LocalSlamSpace, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId};
 use portolan_local_slam::OdometryBridge;
 
 /// Life of a trajectory.
@@ -100,7 +100,7 @@ impl Default for TrajectoryEntry {
 }
 
 /// A submap and a node that are matched.
-type Pair<'a, S> = ((SubmapId, &'a Arc<<S as LocalSpace>::Submap>), (NodeId, &'a Arc<NodeData>));
+type Pair<'a, S> = ((SubmapId, &'a Arc<<S as LocalSlamSpace>::Submap>), (NodeId, &'a Arc<NodeData>));
 
 /// Nodes, submaps, constraints and trajectories.
 #[derive(Clone, Debug)]

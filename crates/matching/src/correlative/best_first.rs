@@ -1,4 +1,4 @@
-//! Branch and bound, the most promising box first; the same for planes and for space.
+//! Branch and bound, the most promising box first; the same in 2D and in 3D.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;

@@ -1,4 +1,4 @@
-//! Scans along a stretch of way as one cloud of the plane, to be found in a whole map.
+//! Scans along a stretch of way as one 2D cloud, to be found in a whole map.
 
 use portolan_geometry::{Point3f, Rigid2, Vector2};
 use portolan_sensor::{PointCloud, voxel_filter_points};

@@ -13,24 +13,24 @@ mod max_pyramid;
 mod rotated_scans;
 mod search_window;
 
-mod fast2d;
-mod fast3d;
+mod fast_2d;
+mod fast_3d;
 mod joint_cloud;
 mod place_grid;
 mod place_index;
-mod real_time2d;
-mod real_time3d;
+mod real_time_2d;
+mod real_time_3d;
 mod rotational;
 
-pub use fast2d::{FastCorrelativeMatcher2d, FastCorrelativeOptions2d, SeveralPlaces};
-pub use fast3d::{
+pub use fast_2d::{FastCorrelativeMatcher2d, FastCorrelativeOptions2d, SeveralPlaces};
+pub use fast_3d::{
     FastCorrelativeMatcher3d, FastCorrelativeOptions3d, FastMatch3d, NodeToFind, SearchReach3d,
     SubmapToSearch, judge_placement_3d,
 };
 pub use joint_cloud::joint_cloud_2d;
 pub use place_index::{FoundPlaces2d, PlaceIndex2d, WantedPlaces};
-pub use real_time2d::{RealTimeCorrelativeMatcher2d, RealTimeCorrelativeOptions};
-pub use real_time3d::RealTimeCorrelativeMatcher3d;
+pub use real_time_2d::{RealTimeCorrelativeMatcher2d, RealTimeCorrelativeOptions};
+pub use real_time_3d::RealTimeCorrelativeMatcher3d;
 pub use rotational::{histogram_similarity, rotate_histogram, rotational_histogram};
 
 /// What a correlative matcher found.

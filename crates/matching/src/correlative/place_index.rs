@@ -65,7 +65,7 @@ pub struct FoundPlaces2d {
     pub lookups: u64,
 }
 
-/// Finds clouds of points anywhere in a map of the plane.
+/// Finds clouds of points anywhere in a 2D map.
 ///
 /// It takes some 25 bytes for each cell of the box around the map, and does not refer to the grids any more.
 #[derive(Clone, Debug)]

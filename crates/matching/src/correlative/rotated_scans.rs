@@ -4,7 +4,7 @@ use portolan_geometry::{Point3f, Rigid2, Vector2f};
 use portolan_grids::MapLimits;
 
 use super::search_window::SearchWindow;
-use crate::PlanarTransform;
+use crate::Transform2d;
 
 /// Cells are clamped to this so that sums with shifts cannot overflow.
 const FAR: i64 = 1 << 24;
@@ -45,7 +45,7 @@ impl RotatedScans {
         for (position, i) in order.iter().enumerate() {
             positions[*i as usize] = position as u32;
         }
-        let turn = PlanarTransform::rotation(initial.angle as f32);
+        let turn = Transform2d::rotation(initial.angle as f32);
         Self {
             window,
             limits,
@@ -105,7 +105,7 @@ impl RotatedScans {
 
     fn compute(&mut self, k: i32) -> usize {
         let start = self.cells.len();
-        let turn = PlanarTransform::rotation(self.window.angle(k) as f32);
+        let turn = Transform2d::rotation(self.window.angle(k) as f32);
         let (limits, translation, first) = (self.limits, self.translation, self.first_cell);
         self.cells.extend(self.points.iter().map(|p| {
             let place = turn.apply(p).coords.xy() + translation;

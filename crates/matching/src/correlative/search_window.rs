@@ -22,7 +22,7 @@ pub(crate) fn bounded_angular_steps(step: f64, window: f64, rounded: fn(f64) -> 
 /// Steps of an angle that move a point at `farthest` metres by just less than a cell (by the fraction
 /// `margin`), and how many of them a window has to either side. In single precision, in which the
 /// reference computes them.
-pub(crate) fn angular_steps_in_space(farthest: f32, resolution: f32, margin: f32, window: f64) -> (f32, i32) {
+pub(crate) fn angular_steps_3d(farthest: f32, resolution: f32, margin: f32, window: f64) -> (f32, i32) {
     let max_range = farthest.max(3.0 * resolution);
     let ratio = resolution * resolution / (2.0 * max_range * max_range);
     let step = (1.0 - margin) * (1.0 - ratio).acos();

@@ -1,7 +1,7 @@
 //! Scans and poses of the golden vectors, which match the scenes that tests of `portolan-grids` draw.
 
 use portolan_geometry::{Rigid2, Rigid3, rotation_from_roll_pitch_yaw, to_f32};
-use portolan_matching::PlanarTransform;
+use portolan_matching::Transform2d;
 use portolan_sensor::PointCloud;
 use portolan_testing::clouds;
 
@@ -11,7 +11,7 @@ pub use scenes::*;
 
 /// Room 2 seen from (1.5, 0.7, 0.2): scan S of the golden vectors.
 pub fn golden_scan() -> PointCloud {
-    let pose = PlanarTransform::from_pose(&Rigid2::new(1.5, 0.7, 0.2)).inverse();
+    let pose = Transform2d::from_pose(&Rigid2::new(1.5, 0.7, 0.2)).inverse();
     PointCloud::new(room2().returns.points.iter().map(|p| pose.apply(p)).collect())
 }
 

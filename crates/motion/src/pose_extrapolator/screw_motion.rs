@@ -5,7 +5,7 @@ use portolan_geometry::{
 };
 
 /// A rigid motion with constant linear and angular velocity in the moving frame: the logarithm in SE(3)
-/// of where it leads. A planar robot that keeps its wheels turning goes this way, on an arc.
+/// of where it leads. A robot on a floor that keeps its wheels turning goes this way, on an arc.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ScrewMotion {
     /// Rotation vector of the whole motion, radians.

@@ -6,7 +6,7 @@ fn at(seconds: f64) -> Time {
     Time::from_ticks((seconds * 1e7 + 0.5).floor() as i64)
 }
 
-fn planar(x: f64, y: f64, yaw: f64) -> Rigid3 {
+fn pose_2d(x: f64, y: f64, yaw: f64) -> Rigid3 {
     Rigid3::new(Vector3::new(x, y, 0.0), Vector3::z() * yaw)
 }
 
@@ -62,7 +62,7 @@ fn golden_run() -> Vec<(Rigid3, Quaternion, Rigid3)> {
             rate[2] += 0.5;
             extrapolator.add_imu(&imu(t, [0.1, -0.2, 9.7], rate)).unwrap();
             if j % 5 == 0 {
-                extrapolator.add_odometry(&odometry(t - 0.002, planar(0.8 * t, 0.1 * t, 0.5 * t))).unwrap();
+                extrapolator.add_odometry(&odometry(t - 0.002, pose_2d(0.8 * t, 0.1 * t, 0.5 * t))).unwrap();
             }
         }
         let end = extrapolator.extrapolate_pose(at(0.1 * s));
@@ -121,14 +121,14 @@ fn without_a_pose_there_is_no_prediction() {
 fn the_past_is_counted_and_survived() {
     for use_all_odometry in [false, true] {
         let mut extrapolator = PoseExtrapolator::new(0.1, 0.1, use_all_odometry);
-        let pose = planar(1.0, 2.0, 0.3);
+        let pose = pose_2d(1.0, 2.0, 0.3);
         extrapolator.add_pose(at(100.0), pose);
         assert!(is_near(&extrapolator.extrapolate_pose(at(100.0)), &pose, 1e-8, 1e-8));
         assert!(is_near(&extrapolator.extrapolate_pose(at(90.0)), &pose, 1e-8, 1e-8));
         extrapolator.extrapolate_pose(at(120.0));
         assert_eq!(extrapolator.last_extrapolated_time(), Some(at(120.0)));
         assert!(is_near(&extrapolator.extrapolate_pose(at(100.0)), &pose, 1e-8, 1e-8));
-        extrapolator.add_pose(at(99.0), planar(7.0, 7.0, 0.0));
+        extrapolator.add_pose(at(99.0), pose_2d(7.0, 7.0, 0.0));
         assert_eq!(extrapolator.last_pose_time(), Some(at(100.0)));
         let old = imu(99.0, [0.0, 0.0, 9.8], [0.0; 3]);
         assert_eq!(extrapolator.add_imu(&old), Err(ExtrapolatorError::OlderThanLastPose));
@@ -200,10 +200,10 @@ fn a_gyroscope_says_how_far_it_turned() {
                 yaw += 0.01;
             }
             let predicted = extrapolator.extrapolate_pose(at(time));
-            assert!(is_near(&predicted, &planar(0.0, 0.0, yaw), 1e-2, 1e-2), "{predicted} {yaw}");
+            assert!(is_near(&predicted, &pose_2d(0.0, 0.0, yaw), 1e-2, 1e-2), "{predicted} {yaw}");
             let up = extrapolator.estimate_gravity_orientation(at(time)) * Vector3::z();
             assert!((up - Vector3::z()).norm() < 1e-8);
-            extrapolator.add_pose(at(time), planar(0.0, 0.0, yaw));
+            extrapolator.add_pose(at(time), pose_2d(0.0, 0.0, yaw));
         }
     }
 }
@@ -213,8 +213,8 @@ mod all_odometry {
 
     /// Straight on for a second, then a tight curve, then straight again.
     fn truth(seconds: f64) -> Rigid3 {
-        let straight = |s: f64| planar(0.8 * s, 0.0, 0.0);
-        let quarter = ScrewMotion::to(&planar(0.5, 0.5, std::f64::consts::FRAC_PI_2));
+        let straight = |s: f64| pose_2d(0.8 * s, 0.0, 0.0);
+        let quarter = ScrewMotion::to(&pose_2d(0.5, 0.5, std::f64::consts::FRAC_PI_2));
         let turn = |s: f64| quarter.fraction(s);
         straight(seconds.min(1.0))
             * turn((seconds - 1.0).clamp(0.0, 1.0))
@@ -285,7 +285,7 @@ mod all_odometry {
     #[test]
     fn the_gyroscope_is_trusted_for_turning() {
         // Wheels that know distance but nothing of turns.
-        let blind = |seconds: f64, _: Rigid3| planar(truth_path_length(seconds), 0.0, 0.0);
+        let blind = |seconds: f64, _: Rigid3| pose_2d(truth_path_length(seconds), 0.0, 0.0);
         let (distance, angle) = largest_errors(true, Some(0.02), true, blind);
         assert!(distance < 0.005 && angle < 0.02, "{distance} {angle}");
     }
@@ -298,7 +298,7 @@ mod all_odometry {
 
     #[test]
     fn without_measurements_an_arc_goes_on() {
-        let quarter = ScrewMotion::to(&planar(0.5, 0.5, std::f64::consts::FRAC_PI_2));
+        let quarter = ScrewMotion::to(&pose_2d(0.5, 0.5, std::f64::consts::FRAC_PI_2));
         let circle = |time: f64| quarter.fraction(time);
         let mut extrapolator = PoseExtrapolator::new(0.001, 10.0, true);
         for scan in 0..10 {
@@ -315,7 +315,7 @@ mod all_odometry {
 
     #[test]
     fn odometry_that_starts_anew_is_noticed() {
-        let reset = |time: f64, pose: Rigid3| if time < 1.5 { pose } else { planar(5.0, -3.0, 2.0) * pose };
+        let reset = |time: f64, pose: Rigid3| if time < 1.5 { pose } else { pose_2d(5.0, -3.0, 2.0) * pose };
         let (distance, angle) = largest_errors(true, Some(0.02), false, reset);
         assert!(distance < 0.05 && angle < 0.1, "{distance} {angle}");
     }
@@ -328,10 +328,10 @@ mod all_odometry {
             if scan < 5 {
                 extrapolator.add_odometry(&odometry(time, Rigid3::identity())).unwrap();
             }
-            extrapolator.add_pose(at(time), planar(time, 0.0, 0.0));
+            extrapolator.add_pose(at(time), pose_2d(time, 0.0, 0.0));
         }
         let predicted = extrapolator.extrapolate_pose(at(4.0));
-        assert!(is_near(&predicted, &planar(4.0, 0.0, 0.0), 1e-6, 1e-6), "{predicted}");
+        assert!(is_near(&predicted, &pose_2d(4.0, 0.0, 0.0), 1e-6, 1e-6), "{predicted}");
     }
 
     #[test]
@@ -342,13 +342,13 @@ mod all_odometry {
             if time < 1.0 {
                 extrapolator.add_imu(&imu(time, [0.0, 0.0, 9.8], [0.0, 0.0, 0.5])).unwrap();
             }
-            extrapolator.add_odometry(&odometry(time, planar(time, 0.0, 0.0))).unwrap();
+            extrapolator.add_odometry(&odometry(time, pose_2d(time, 0.0, 0.0))).unwrap();
             if tick % 10 == 0 {
-                extrapolator.add_pose(at(time), planar(time, 0.0, 0.0));
+                extrapolator.add_pose(at(time), pose_2d(time, 0.0, 0.0));
             }
         }
         let predicted = extrapolator.extrapolate_pose(at(1.98));
-        assert!(is_near(&predicted, &planar(1.98, 0.0, 0.0), 1e-6, 1e-6), "{predicted}");
+        assert!(is_near(&predicted, &pose_2d(1.98, 0.0, 0.0), 1e-6, 1e-6), "{predicted}");
     }
 
     #[test]
@@ -358,11 +358,11 @@ mod all_odometry {
         for tick in 0..100_000 {
             let time = 0.005 * f64::from(tick);
             extrapolator.add_imu(&imu(time, [0.0, 0.0, 9.8], [0.0, 0.0, 0.01])).unwrap();
-            let _ = extrapolator.add_odometry(&odometry(time, planar(0.1 * time, 0.0, 0.01 * time)));
+            let _ = extrapolator.add_odometry(&odometry(time, pose_2d(0.1 * time, 0.0, 0.01 * time)));
         }
         assert!(extrapolator.imu.len() <= IMU_CAPACITY && extrapolator.odometry.len() <= 20_000);
         let predicted = extrapolator.extrapolate_pose(at(499.0));
-        assert!(is_near(&predicted, &planar(49.9, 0.0, 4.99), 0.1, 0.01), "{predicted}");
+        assert!(is_near(&predicted, &pose_2d(49.9, 0.0, 4.99), 0.1, 0.01), "{predicted}");
     }
 }
 

@@ -10,9 +10,9 @@ use std::time::Instant;
 
 use portolan::geometry::Dimension;
 use portolan::ingest::{IngestOptions, Ingestion};
-use portolan::localization::{KnownMap, Localizer, LocalizerSettings, PlanarMap, SpatialMap};
+use portolan::localization::{KnownMap, KnownMap2d, KnownMap3d, Localizer, LocalizerSettings};
 use portolan::mapfile::{MapLoadSettings, read_map};
-use portolan::mapping::{Planar, Spatial};
+use portolan::mapping::{Space2d, Space3d};
 use portolan::pipeline::{Preparation, prepare};
 use portolan::recording::{Recording, open};
 
@@ -29,18 +29,18 @@ fn main() -> Result<(), Box<dyn Error>> {
     let preparation = prepare(recording.as_ref(), &IngestOptions::default(), None)?;
     let begin = Instant::now();
     match preparation.dimension {
-        Dimension::Two => {
-            let graph = read_map::<Planar>(Path::new(map), &MapLoadSettings::default())?.graph;
+        Dimension::TwoD => {
+            let graph = read_map::<Space2d>(Path::new(map), &MapLoadSettings::default())?.graph;
             let read = begin.elapsed().as_secs_f64();
-            let map = PlanarMap::new(graph.state())?;
+            let map = KnownMap2d::new(graph.state())?;
             tell(graph.state().submaps.len(), read, &begin)?;
             drop(graph);
             search(map, recording.as_ref(), &preparation, seconds)
         }
-        Dimension::Three => {
-            let graph = read_map::<Spatial>(Path::new(map), &MapLoadSettings::default())?.graph;
+        Dimension::ThreeD => {
+            let graph = read_map::<Space3d>(Path::new(map), &MapLoadSettings::default())?.graph;
             let read = begin.elapsed().as_secs_f64();
-            let map = SpatialMap::new(graph.state())?;
+            let map = KnownMap3d::new(graph.state())?;
             tell(graph.state().submaps.len(), read, &begin)?;
             drop(graph);
             search(map, recording.as_ref(), &preparation, seconds)

@@ -7,7 +7,7 @@ use portolan::evaluation::{Alignment, Association, TimedPose, Trajectory, absolu
 use portolan::geometry::{Rigid3, Vector3};
 use portolan::ingest::{IngestOptions, Ingestion};
 use portolan::lidar_odometry::{LidarOdometry, OdometrySettings, Sweep};
-use portolan::mapping::{Mapper, MapperSettings, MatchingResult, Spatial};
+use portolan::mapping::{Mapper, MapperSettings, MatchingResult, Space3d};
 use portolan::numeric::rms;
 use portolan::pipeline::prepare;
 use portolan::recording::open;
@@ -55,10 +55,10 @@ impl Drive {
             &ingest,
         )?;
         let settings_of_mapper = MapperSettings { threads: 1, ..MapperSettings::default() };
-        let mut mapper = Mapper::<Spatial>::new(&preparation.options, settings_of_mapper)?;
+        let mut mapper = Mapper::<Space3d>::new(&preparation.options, settings_of_mapper)?;
         let id = mapper.add_trajectory(&ingestion.sensors().into_iter().collect(), None)?;
         let (mut sweeps, mut imu) = (Vec::new(), Vec::new());
-        let sweep = |scan: MatchingResult<Spatial>| Sweep { end: scan.time, points: scan.measured };
+        let sweep = |scan: MatchingResult<Space3d>| Sweep { end: scan.time, points: scan.measured };
         while let Some((sensor, measurement)) = ingestion.next_measurement()? {
             if let Measurement::Imu(data) = &measurement {
                 imu.push(*data);

@@ -19,16 +19,16 @@ const COLUMNS: usize = 300;
 /// A day in the building.
 pub enum Drive {
     /// Through an office, with lidar and wheels, and people in the way.
-    Planar(Simulation),
+    TwoD(Simulation),
     /// Through a storey of a museum, with a backpack that has a lidar and an IMU.
-    Spatial(Simulation3d),
+    ThreeD(Simulation3d),
 }
 
 impl Drive {
     /// A drive of so many seconds, or one tour.
     pub fn new(dimension: Dimension, day: u64, seconds: Option<f64>) -> Result<Self, Box<dyn Error>> {
         Ok(match dimension {
-            Dimension::Two => Self::Planar(Simulation::new(ScenarioOptions {
+            Dimension::TwoD => Self::TwoD(Simulation::new(ScenarioOptions {
                 building_seed: Some(1),
                 duration: seconds,
                 people: Some(2),
@@ -37,7 +37,7 @@ impl Drive {
                 imu: None,
                 ..ScenarioOptions::new(Scene::Office, day)
             })?),
-            Dimension::Three => {
+            Dimension::ThreeD => {
                 let mut options = Scenario3dOptions {
                     scene: Scene3d::Museum,
                     seed: day,
@@ -52,7 +52,7 @@ impl Drive {
                     lidar.rate = RATE;
                     lidar.beams.columns = COLUMNS;
                 }
-                Self::Spatial(Simulation3d::new(options)?)
+                Self::ThreeD(Simulation3d::new(options)?)
             }
         })
     }
@@ -60,15 +60,15 @@ impl Drive {
     /// What the sensors measured.
     pub fn recording(&self) -> &dyn Recording {
         match self {
-            Self::Planar(simulation) => simulation,
-            Self::Spatial(simulation) => simulation,
+            Self::TwoD(simulation) => simulation,
+            Self::ThreeD(simulation) => simulation,
         }
     }
 
     fn truth_at(&self, time: Time) -> Option<Rigid3> {
         match self {
-            Self::Planar(simulation) => simulation.truth_at(time),
-            Self::Spatial(simulation) => simulation.truth_at(time),
+            Self::TwoD(simulation) => simulation.truth_at(time),
+            Self::ThreeD(simulation) => simulation.truth_at(time),
         }
     }
 
@@ -79,8 +79,8 @@ impl Drive {
         });
         let truth = Trajectory::new(truth).0;
         let alignment = match self {
-            Self::Planar(_) => Alignment::Se2,
-            Self::Spatial(_) => Alignment::Se3,
+            Self::TwoD(_) => Alignment::Se2,
+            Self::ThreeD(_) => Alignment::Se3,
         };
         let errors = absolute_errors(&truth, found, Association::default(), alignment)?;
         let translation = errors.translation;

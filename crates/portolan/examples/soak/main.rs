@@ -51,8 +51,8 @@ fn command() -> Option<Command> {
         _ => return None,
     };
     let dimension = match dimension {
-        "2d" => Dimension::Two,
-        "3d" => Dimension::Three,
+        "2d" => Dimension::TwoD,
+        "3d" => Dimension::ThreeD,
         _ => return None,
     };
     Some(Command { work, dimension, hours: hours.parse().ok()?, folder: folder.into() })

@@ -30,7 +30,7 @@ fn the_same_sensors_get_the_same_settings_with_and_without_a_recording() {
     };
     for (with_wheels, with_imu) in [(true, true), (true, false), (false, true), (false, false)] {
         let preparation = office(with_wheels, with_imu);
-        assert_eq!((preparation.dimension, preparation.plan.imu.is_some()), (Dimension::Two, with_imu));
+        assert_eq!((preparation.dimension, preparation.plan.imu.is_some()), (Dimension::TwoD, with_imu));
         assert_eq!(settings_for(&described(&preparation, with_wheels)), preparation.options);
         assert_eq!(preparation.options.bridge.use_odometry, with_wheels);
     }
@@ -38,7 +38,7 @@ fn the_same_sensors_get_the_same_settings_with_and_without_a_recording() {
     options.duration = Some(3.0);
     options.lidars.iter_mut().for_each(|lidar| lidar.beams.columns = 200);
     let preparation = prepared(&Simulation3d::new(options).unwrap());
-    assert_eq!(preparation.dimension, Dimension::Three);
+    assert_eq!(preparation.dimension, Dimension::ThreeD);
     assert_eq!(settings_for(&described(&preparation, false)), preparation.options);
 }
 
@@ -51,7 +51,7 @@ fn settings_follow_what_lidars_see() {
         scans_hz: 10.0,
     };
     let cell = |lidar| {
-        let options = settings_for(&Sensors::new(Dimension::Two, lidar, "laser"));
+        let options = settings_for(&Sensors::new(Dimension::TwoD, lidar, "laser"));
         options.trajectory_builder.trajectory_builder_2d.submaps.grid_options_2d.resolution
     };
     let sparse = Lidar { angular_resolution_radians: 1.0_f64.to_radians(), ..lidar };
@@ -60,13 +60,13 @@ fn settings_follow_what_lidars_see() {
         let sensors = Sensors { lidar, ..Sensors::new(dimension, sparse, "laser") };
         let builder = settings_for(&sensors).trajectory_builder;
         match dimension {
-            Dimension::Two => builder.trajectory_builder_2d.max_range,
-            Dimension::Three => builder.trajectory_builder_3d.max_range,
+            Dimension::TwoD => builder.trajectory_builder_2d.max_range,
+            Dimension::ThreeD => builder.trajectory_builder_3d.max_range,
         }
     };
     let gathered = |scans_hz, has_more_lidars| {
         let lidar = Lidar { scans_hz, ..lidar };
-        let sensors = Sensors { has_more_lidars, ..Sensors::new(Dimension::Three, lidar, "lidar") };
+        let sensors = Sensors { has_more_lidars, ..Sensors::new(Dimension::ThreeD, lidar, "lidar") };
         settings_for(&sensors).portolan.min_scan_duration > 0.0
     };
     assert_eq!((gathered(10.0, false), gathered(2.0, false)), (false, false));
@@ -74,8 +74,8 @@ fn settings_follow_what_lidars_see() {
     assert_eq!((gathered(10.0, true), gathered(75.0, false), gathered(0.0, false)), (true, true, true));
     let marked = Lidar { max_range_metres: 10.0, ..lidar };
     let outside = Lidar { median_range_metres: 12.0, ..lidar };
-    assert_eq!(farthest(Some(marked), Dimension::Two), 9.8);
-    assert_eq!(farthest(Some(lidar), Dimension::Two), farthest(None, Dimension::Two));
-    assert_eq!(farthest(Some(lidar), Dimension::Three), 60.0);
-    assert_eq!(farthest(Some(outside), Dimension::Three), 100.0);
+    assert_eq!(farthest(Some(marked), Dimension::TwoD), 9.8);
+    assert_eq!(farthest(Some(lidar), Dimension::TwoD), farthest(None, Dimension::TwoD));
+    assert_eq!(farthest(Some(lidar), Dimension::ThreeD), 60.0);
+    assert_eq!(farthest(Some(outside), Dimension::ThreeD), 100.0);
 }

@@ -27,7 +27,7 @@ pub enum JobError {
     Options(Vec<ConfigError>),
     /// An engine that is not there in 2D.
     #[error("planes are for mapping in 3D; scans in 2D are matched to grids")]
-    PlanesInThePlane,
+    PlaneEngineIn2d,
     /// Single trajectories to be frozen of several maps.
     #[error("single trajectories to be frozen do not say which of the known maps they are of")]
     AmbiguousFrozen,
@@ -67,7 +67,7 @@ pub enum JobError {
     NoFixes,
     /// A map in 3D whose places were to be examined.
     #[error("{}: this map is in 3D; places are examined in 2D only", .0.display())]
-    PlacesInSpace(PathBuf),
+    PlacesOf3dMap(PathBuf),
     /// Localisation could not begin.
     #[error(transparent)]
     Localizer(#[from] LocalizerError),

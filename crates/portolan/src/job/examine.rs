@@ -5,9 +5,9 @@ use std::path::Path;
 use portolan_config::Options;
 use portolan_export::{ColouredLine, PictureOptions, Rgb, draw_path, rgb, write_picture};
 use portolan_input::regular_file;
-use portolan_localization::{Distinctness, ExaminedPlace, LocalizerError, PlaceExaminer, PlanarMap};
+use portolan_localization::{Distinctness, ExaminedPlace, KnownMap2d, LocalizerError, PlaceExaminer};
 use portolan_mapfile::{FrozenTrajectories, PlacedTexture, submap_textures_2d};
-use portolan_mapping::{Map, Planar};
+use portolan_mapping::{Map, Space2d};
 use portolan_pbstream::MapReader;
 use portolan_pbstream::proto::mapping::serialized_data::Data;
 
@@ -66,15 +66,15 @@ impl ExaminedMap {
 /// A map that cannot be read, in which nothing can be found, or that is in 3D.
 pub fn examine_map(path: &Path, threads: usize, observe: &mut Observer) -> Result<ExaminedMap, JobError> {
     regular_file(path).map_err(|source| JobError::file(path, source))?;
-    if is_in_space(path)? {
-        return Err(JobError::PlacesInSpace(path.to_owned()));
+    if is_3d(path)? {
+        return Err(JobError::PlacesOf3dMap(path.to_owned()));
     }
     let options = Options::default();
     let known = KnownMaps { files: vec![path.to_owned()], frozen: FrozenTrajectories::All, start: None };
     // What had to be put right is for whoever checks the document to say.
-    let mut loaded = known.load::<Planar>(&options, &mut super::unobserved)?;
+    let mut loaded = known.load::<Space2d>(&options, &mut super::unobserved)?;
     let unusable = |reason| JobError::UnusableMap { path: path.to_owned(), reason };
-    let map = PlanarMap::new(loaded.graph.state()).map_err(unusable)?;
+    let map = KnownMap2d::new(loaded.graph.state()).map_err(unusable)?;
     let examiner = PlaceExaminer::new(map, loaded.graph.state(), threads).map_err(LocalizerError::from)?;
     let mut places = examiner.examine(&mut |done, total| observe(&Event::Examining { done, total }));
     drop(examiner);
@@ -90,7 +90,7 @@ pub fn examine_map(path: &Path, threads: usize, observe: &mut Observer) -> Resul
 }
 
 /// By the first submap of the file.
-fn is_in_space(path: &Path) -> Result<bool, JobError> {
+fn is_3d(path: &Path) -> Result<bool, JobError> {
     let failed = |error: portolan_pbstream::PbstreamError| JobError::KnownMap {
         path: path.to_owned(),
         reason: error.into(),

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use portolan_config::Options;
 use portolan_geometry::Rigid3;
 use portolan_input::regular_file;
-use portolan_mapfile::{FrozenTrajectories, MapSpace, load_map};
+use portolan_mapfile::{FrozenTrajectories, MapFileSpace, load_map};
 use portolan_pbstream::MapReader;
 
 use super::error::JobError;
@@ -44,7 +44,7 @@ impl KnownMaps {
     ///
     /// # Errors
     /// A map that is damaged or of the other dimension; single trajectories to be frozen of several maps.
-    pub fn load<S: MapSpace>(
+    pub fn load<S: MapFileSpace>(
         &self,
         options: &Options,
         observe: &mut Observer,

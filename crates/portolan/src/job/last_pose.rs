@@ -70,7 +70,7 @@ pub fn last_pose(path: &Path) -> Result<StartPose, LastPoseError> {
         let number = field.and_then(|field| field.parse::<f64>().ok()).filter(|v| v.is_finite());
         number.ok_or_else(|| malformed(line, &format!("there is no number in the column \"{name}\"")))
     };
-    // Tables of the plane have neither heights nor tilts.
+    // Tables in 2D have neither heights nor tilts.
     let or_level = |name: &str| if columns.contains_key(name) { value(name) } else { Ok(0.0) };
     let translation = Vector3::new(value("x")?, value("y")?, or_level("z")?);
     let rotation = rotation_from_roll_pitch_yaw(or_level("roll")?, or_level("pitch")?, value("yaw")?);

@@ -14,10 +14,10 @@ pub struct Localisation {
     /// Seconds of the recording, from its first node, that it took until its place was known.
     pub placed_after_seconds: Option<f64>,
     /// Whether somebody said where it starts.
-    pub start_was_told: bool,
+    pub start_was_given: bool,
     /// How far from where somebody said that it starts it was found, metres and radians; none where its scans fit there, or nowhere
     /// better.
-    pub error_of_told_start: Option<(f64, f64)>,
+    pub error_of_given_start: Option<(f64, f64)>,
     /// Whether its nodes that were tied to known maps are gone: then there is little to compare with these.
     pub is_trimmed: bool,
     /// How its scans agree with the known maps where it lies in them.
@@ -37,7 +37,7 @@ pub enum Place {
     /// It was found, but too few of its scans fit the known maps there, or lie where these know the place.
     Doubtful,
     /// Somebody said where it starts, and nothing speaks for or against it: it went where no known map reaches.
-    Told,
+    GivenAsStart,
     /// The known maps look otherwise where it was found, or where somebody said that it starts.
     Refuted,
     /// Nobody said it, and it was not found.
@@ -50,7 +50,7 @@ impl Place {
         match self {
             Self::Found => "found",
             Self::Doubtful => "doubtful",
-            Self::Told => "told",
+            Self::GivenAsStart => "told",
             Self::Refuted => "refuted",
             Self::NotFound => "not_found",
         }
@@ -84,13 +84,13 @@ impl Localisation {
         let placed = mapped.map.graph.placed_at();
         let placed_after_seconds = placed.zip(start).map(|(placed, start)| placed.seconds_since(start));
         let loop_closures = between.len() + trimmed.map_or(0, |ties| ties.count);
-        let start_was_told = state.trajectories.get(&new).is_some_and(|t| t.initial_pose.is_some());
+        let start_was_given = state.trajectories.get(&new).is_some_and(|t| t.initial_pose.is_some());
         Some(Self {
             loop_closures,
             first_found_after_seconds,
             placed_after_seconds,
-            start_was_told,
-            error_of_told_start: mapped.map.graph.error_of_told_start(new),
+            start_was_given,
+            error_of_given_start: mapped.map.graph.error_of_given_start(new),
             is_trimmed: trimmed.is_some(),
             agreement: mapped.in_known_maps,
         })
@@ -99,13 +99,13 @@ impl Localisation {
     /// What is known of the place.
     pub fn place(&self) -> Place {
         let is_tied = self.placed_after_seconds.is_some() || self.first_found_after_seconds.is_some();
-        let is_placed = is_tied || self.start_was_told;
+        let is_placed = is_tied || self.start_was_given;
         let Consistency { places, confirmed, .. } = self.agreement;
         match self.agreement.is_known() {
             _ if !is_placed => Place::NotFound,
             false if is_tied && self.is_trimmed => Place::Found,
             false if is_tied => Place::Doubtful,
-            false => Place::Told,
+            false => Place::GivenAsStart,
             true if self.agreement.is_confirmed() => Place::Found,
             true if (confirmed as f64) < LEAST_CONFIRMED * places as f64 => Place::Refuted,
             true => Place::Doubtful,

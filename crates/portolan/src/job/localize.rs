@@ -7,11 +7,13 @@ use portolan_geometry::{Dimension, NearFrame};
 use portolan_ingest::{IngestOptions, Ingestion};
 use portolan_issue::IssueLog;
 use portolan_localization::{
-    Estimate, Jumps, KnownMap, KnownMapError, Localizer, LocalizerSettings, PlanarMap, SpatialMap, StartPose,
-    State,
+    Estimate, Jumps, KnownMap, KnownMap2d, KnownMap3d, KnownMapError, Localizer, LocalizerSettings,
+    StartPose, State,
 };
-use portolan_mapfile::{FrozenTrajectories, MapSpace, PlacedTexture, submap_textures_2d, submap_textures_3d};
-use portolan_mapping::{Map, Planar, Space, Spatial};
+use portolan_mapfile::{
+    FrozenTrajectories, MapFileSpace, PlacedTexture, submap_textures_2d, submap_textures_3d,
+};
+use portolan_mapping::{Map, Space, Space2d, Space3d};
 use portolan_optimization::LandmarkNode;
 use portolan_recording::Recording;
 use portolan_sensor::{Measurement, SensorId};
@@ -113,15 +115,15 @@ pub fn localize(
     let job = Job::prepare_in(folder, recording, how, observe)?;
     request.save_map.as_ref().map_or(Ok(()), SaveMap::check)?;
     match job.preparation().dimension {
-        Dimension::Two => {
-            let known = load::<Planar>(request, job.preparation(), observe)?;
-            let map = PlanarMap::new(known.graph.state()).map_err(|reason| unusable(request, reason))?;
+        Dimension::TwoD => {
+            let known = load::<Space2d>(request, job.preparation(), observe)?;
+            let map = KnownMap2d::new(known.graph.state()).map_err(|reason| unusable(request, reason))?;
             let map = textured(map, known, submap_textures_2d, job.preparation());
             localize_in(map, recording, request, job.preparation(), observe)
         }
-        Dimension::Three => {
-            let known = load::<Spatial>(request, job.preparation(), observe)?;
-            let map = SpatialMap::new(known.graph.state()).map_err(|reason| unusable(request, reason))?;
+        Dimension::ThreeD => {
+            let known = load::<Space3d>(request, job.preparation(), observe)?;
+            let map = KnownMap3d::new(known.graph.state()).map_err(|reason| unusable(request, reason))?;
             let map = textured(map, known, submap_textures_3d, job.preparation());
             localize_in(map, recording, request, job.preparation(), observe)
         }
@@ -129,7 +131,7 @@ pub fn localize(
 }
 
 /// Finds a recording in a map that is loaded.
-fn localize_in<M: KnownMap<Space: MapSpace>>(
+fn localize_in<M: KnownMap<Space: MapFileSpace>>(
     loaded: LoadedMap<M>,
     recording: &dyn Recording,
     request: &LocalizeRequest,
@@ -210,7 +212,7 @@ struct Run<M: KnownMap> {
     interrupted: bool,
 }
 
-impl<M: KnownMap<Space: MapSpace>> Run<M> {
+impl<M: KnownMap<Space: MapFileSpace>> Run<M> {
     /// Reads to the end, or until the observer stops it.
     fn read(&mut self, observe: &mut Observer) -> Result<(), JobError> {
         while let Some((sensor_id, measurement)) =
@@ -278,7 +280,7 @@ struct LoadedMap<M: KnownMap> {
     issues: IssueLog,
 }
 
-fn load<S: MapSpace>(
+fn load<S: MapFileSpace>(
     request: &LocalizeRequest,
     preparation: &Preparation,
     observe: &mut Observer,

@@ -226,8 +226,8 @@ struct Axes(&'static [(usize, &'static str)]);
 impl Axes {
     fn of(dimension: Dimension) -> Self {
         match dimension {
-            Dimension::Two => Self(&[(0, "x"), (1, "y"), (5, "yaw")]),
-            Dimension::Three => Self(&[(0, "x"), (1, "y"), (2, "z"), (3, "roll"), (4, "pitch"), (5, "yaw")]),
+            Dimension::TwoD => Self(&[(0, "x"), (1, "y"), (5, "yaw")]),
+            Dimension::ThreeD => Self(&[(0, "x"), (1, "y"), (2, "z"), (3, "roll"), (4, "pitch"), (5, "yaw")]),
         }
     }
 

@@ -49,7 +49,7 @@ impl CloudRequest {
     }
 
     fn draws_xrays(&self, preparation: &Preparation) -> bool {
-        preparation.dimension == Dimension::Three && self.with_xrays
+        preparation.dimension == Dimension::ThreeD && self.with_xrays
     }
 
     /// Refuses what cannot be done before anything is mapped.
@@ -328,8 +328,8 @@ fn limits_of_mapping(preparation: &Preparation) -> RangeLimits {
     let builder = &preparation.options.trajectory_builder;
     let (two, three) = (&builder.trajectory_builder_2d, &builder.trajectory_builder_3d);
     match preparation.dimension {
-        Dimension::Two => RangeLimits { min_range: two.min_range, max_range: two.max_range },
-        Dimension::Three => RangeLimits { min_range: three.min_range, max_range: three.max_range },
+        Dimension::TwoD => RangeLimits { min_range: two.min_range, max_range: two.max_range },
+        Dimension::ThreeD => RangeLimits { min_range: three.min_range, max_range: three.max_range },
     }
 }
 

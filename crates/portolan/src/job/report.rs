@@ -149,7 +149,7 @@ fn known_map(localisation: &Localisation) -> serde_json::Value {
         "contradicted": localisation.agreement.contradicted,
         "confirmed": localisation.agreement.confirmed,
         "place": localisation.place().name(),
-        "start_error_m": localisation.error_of_told_start.map(|(metres, _)| metres),
+        "start_error_m": localisation.error_of_given_start.map(|(metres, _)| metres),
         "trusted": localisation.is_trusted(),
     })
 }

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use portolan_export::{ConstraintLine, MapContent, TrajectoryLine, write_tum};
-use portolan_mapfile::{MapSpace, PlacedTexture, submap_textures_2d, submap_textures_3d, write_map};
-use portolan_mapping::{Map, Planar, Space, Spatial, TrajectoryId};
+use portolan_mapfile::{MapFileSpace, PlacedTexture, submap_textures_2d, submap_textures_3d, write_map};
+use portolan_mapping::{Map, Space, Space2d, Space3d, TrajectoryId};
 
 use super::error::{JobError, write_file};
 use super::event::{Event, Observer, Remark, remark};
@@ -16,18 +16,18 @@ use crate::known_places::KnownMapSpace;
 use crate::pipeline::MappedRecording;
 
 /// A space whose maps can be shown from above.
-pub trait ResultSpace: MapSpace + KnownMapSpace {
+pub trait ResultSpace: MapFileSpace + KnownMapSpace {
     /// The submaps as textures.
     fn textures(map: &Map<Self>) -> Vec<PlacedTexture>;
 }
 
-impl ResultSpace for Planar {
+impl ResultSpace for Space2d {
     fn textures(map: &Map<Self>) -> Vec<PlacedTexture> {
         submap_textures_2d(map)
     }
 }
 
-impl ResultSpace for Spatial {
+impl ResultSpace for Space3d {
     fn textures(map: &Map<Self>) -> Vec<PlacedTexture> {
         submap_textures_3d(map)
     }

@@ -7,7 +7,7 @@ use portolan_config::Options;
 use portolan_geometry::NearFrame;
 use portolan_issue::IssueLog;
 use portolan_localization::{Estimate, Grown, Growth, GrowthError, KnownMap, Localizer};
-use portolan_mapfile::{Georeference, MapSpace, write_map};
+use portolan_mapfile::{Georeference, MapFileSpace, write_map};
 use portolan_mapping::{EndedTrajectory, Map, Space, TrajectoryState};
 use portolan_pbstream::MapReader;
 use portolan_sensor::SensorId;
@@ -88,7 +88,7 @@ impl SaveMap {
     }
 
     /// Lets a known map grow, and writes it. Estimates are in the near frame.
-    pub(super) fn save<M: KnownMap<Space: MapSpace>>(
+    pub(super) fn save<M: KnownMap<Space: MapFileSpace>>(
         &self,
         known: KnownFile<'_, M::Space>,
         localizer: &mut Localizer<M>,

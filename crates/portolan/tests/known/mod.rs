@@ -84,7 +84,7 @@ impl Known {
     }
 }
 
-/// A walk through a place of space; another day, another way through it. In a car park the cars of another building stand
+/// A walk through a place in 3D; another day, another way through it. In a car park the cars of another building stand
 /// in other places.
 pub fn walk(scene: Scene3d, building: u64, day: u64, seconds: f64) -> Simulation3d {
     let mut options = Scenario3dOptions::new(scene, day, 1);

@@ -2,7 +2,7 @@
 
 use portolan::config::{OptionDoc, Options, catalogue};
 use portolan::geometry::{Dimension, Rigid3};
-use portolan::mapping::{Mapper, MapperSettings, Planar, Space, Spatial};
+use portolan::mapping::{Mapper, MapperSettings, Space, Space2d, Space3d};
 use portolan::sensor::{
     FixedFramePoseData, LandmarkData, LandmarkObservation, Measurement, SensorId, SensorKind,
 };
@@ -43,8 +43,8 @@ fn candidates(doc: &OptionDoc) -> Vec<String> {
 
 fn base(dimension: Dimension) -> Options {
     let mut options = match dimension {
-        Dimension::Two => Options::for_2d(),
-        Dimension::Three => Options::for_3d(),
+        Dimension::TwoD => Options::for_2d(),
+        Dimension::ThreeD => Options::for_3d(),
     };
     for setting in [
         "trajectory_builder_2d.submaps.num_range_data=2",
@@ -71,7 +71,7 @@ fn measurements(dimension: Dimension) -> Vec<Measurement> {
         if step % 6 != 0 {
             continue;
         }
-        let elevations: &[f64] = if dimension == Dimension::Two { &[0.0] } else { &[-0.3, -0.1, 0.1, 0.3] };
+        let elevations: &[f64] = if dimension == Dimension::TwoD { &[0.0] } else { &[-0.3, -0.1, 0.1, 0.3] };
         measurements.push(Measurement::Range(scan_at(&truth, seconds, elevations, 60)));
         measurements.push(Measurement::FixedFramePose(FixedFramePoseData {
             time: at(seconds),
@@ -120,10 +120,10 @@ fn dimensions(path: &str) -> &'static [Dimension] {
     let plane = path.contains("trajectory_builder_2d") || path.contains("trimmer_2d");
     let space = path.contains("_3d");
     match (plane, space) {
-        (true, _) => &[Dimension::Two],
-        (_, true) => &[Dimension::Three],
-        _ if path.contains("matcher") => &[Dimension::Two],
-        _ => &[Dimension::Two, Dimension::Three],
+        (true, _) => &[Dimension::TwoD],
+        (_, true) => &[Dimension::ThreeD],
+        _ if path.contains("matcher") => &[Dimension::TwoD],
+        _ => &[Dimension::TwoD, Dimension::ThreeD],
     }
 }
 
@@ -152,8 +152,8 @@ fn try_all(chosen: impl Fn(&str) -> bool) {
                     measurements.truncate(22);
                 }
                 let result = match dimension {
-                    Dimension::Two => map::<Planar>(&options, measurements),
-                    Dimension::Three => map::<Spatial>(&options, measurements),
+                    Dimension::TwoD => map::<Space2d>(&options, measurements),
+                    Dimension::ThreeD => map::<Space3d>(&options, measurements),
                 };
                 match result {
                     Ok(_) => mapped += 1,
@@ -172,7 +172,7 @@ fn try_all(chosen: impl Fn(&str) -> bool) {
 }
 
 #[test]
-fn absurd_values_of_local_slam_in_the_plane() {
+fn absurd_values_of_local_slam_in_2d() {
     if is_fast() {
         return;
     }
@@ -180,7 +180,7 @@ fn absurd_values_of_local_slam_in_the_plane() {
 }
 
 #[test]
-fn absurd_values_of_local_slam_in_space() {
+fn absurd_values_of_local_slam_in_3d() {
     if is_fast() {
         return;
     }

@@ -8,14 +8,14 @@ use portolan::config::Options;
 use portolan::geometry::{Rigid3, Vector3, rotation_angle};
 use portolan::mapping::{
     Constraint, ConstraintTag, InitialTrajectoryPose, Map, Mapper, MapperSettings, MatchedPose, NodeData,
-    NodeId, Planar, PoseGraph, PoseGraphPolicy, SearchCounts, SearchRegion, Space, SubmapId, TrajectoryId,
+    NodeId, PoseGraph, PoseGraphPolicy, SearchCounts, SearchRegion, Space, Space2d, SubmapId, TrajectoryId,
 };
 use portolan::sensor::{Measurement, PointCloud, SensorKind};
 use portolan::submaps::Submap2d;
 
 use crate::effect::{Effect, check, effects};
 use crate::run::{Run, mapper, run, sensor, trajectory};
-use crate::world::{at, distance, odometry, on_circle, planar_scan, pose};
+use crate::world::{at, distance, odometry, on_circle, pose, scan_2d};
 
 pub fn base() -> Options {
     let mut options = Options::for_2d();
@@ -38,12 +38,12 @@ pub fn laps(steps: u32) -> Vec<Measurement> {
         let truth = on_circle(seconds);
         let drift = Rigid3::translation(0.002 * seconds, 0.0, 0.0);
         measurements.push(Measurement::Odometry(odometry(drift * truth, seconds)));
-        measurements.push(Measurement::Range(planar_scan(&truth, seconds)));
+        measurements.push(Measurement::Range(scan_2d(&truth, seconds)));
     }
     measurements
 }
 
-fn lap(options: &Options) -> Run<Planar> {
+fn lap(options: &Options) -> Run<Space2d> {
     run(options, laps(30))
 }
 
@@ -52,8 +52,8 @@ fn searches(options: &Options) -> SearchCounts {
 }
 
 /// The same lap twice, as two trajectories; the second may be told where it starts.
-fn two_laps(options: &Options, is_told: bool) -> Map<Planar> {
-    let mut mapper = mapper::<Planar>(options);
+fn two_laps(options: &Options, is_told: bool) -> Map<Space2d> {
+    let mut mapper = mapper::<Space2d>(options);
     let sensors = [SensorKind::Range, SensorKind::Odometry].map(sensor).into_iter().collect();
     for lap in 0..2 {
         let start = (lap == 1 && is_told).then(|| InitialTrajectoryPose {
@@ -75,7 +75,7 @@ fn searches_of_two(options: &Options) -> SearchCounts {
 }
 
 /// Searches in whole submaps although it is known where the second lap started.
-fn whole_searches_of_told(options: &Options) -> f64 {
+fn whole_searches_from_given_start(options: &Options) -> f64 {
     two_laps(options, true).graph.search_counts().whole_submap_searched as f64
 }
 
@@ -87,7 +87,7 @@ fn ties(options: &Options) -> f64 {
     ties.count() as f64
 }
 
-fn weights_of(run: &Run<Planar>, tag: ConstraintTag) -> [f64; 2] {
+fn weights_of(run: &Run<Space2d>, tag: ConstraintTag) -> [f64; 2] {
     let constraints = &run.map.graph.state().constraints;
     let found = constraints.iter().find(|c| c.tag == tag).unwrap();
     [found.translation_weight, found.rotation_weight]
@@ -95,12 +95,12 @@ fn weights_of(run: &Run<Planar>, tag: ConstraintTag) -> [f64; 2] {
 
 /// Submaps while the trajectory is still being mapped.
 fn submaps_meanwhile(options: &Options) -> f64 {
-    let mut mapper = mapper::<Planar>(options);
+    let mut mapper = mapper::<Space2d>(options);
     let id = trajectory(&mut mapper, &[SensorKind::Range, SensorKind::Odometry]);
     for measurement in laps(30) {
         mapper.add(id, &sensor(measurement.kind()), measurement).unwrap();
     }
-    let count = |graph: &mut PoseGraph<Planar>| {
+    let count = |graph: &mut PoseGraph<Space2d>| {
         graph.optimize();
         graph.state().submaps.len()
     };
@@ -109,7 +109,7 @@ fn submaps_meanwhile(options: &Options) -> f64 {
 
 /// Scans that are mapped although a sensor of this kind, of this or of another trajectory, is silent.
 fn mapped_meanwhile(options: &Options, silent: SensorKind, of_other: bool) -> f64 {
-    let mut mapper = mapper::<Planar>(options);
+    let mut mapper = mapper::<Space2d>(options);
     let own = if of_other { vec![SensorKind::Range] } else { vec![SensorKind::Range, silent] };
     let id = trajectory(&mut mapper, &own);
     if of_other {
@@ -136,8 +136,8 @@ fn submap_with_misses(miss_probability: f64) -> (Submap2d, NodeData) {
     let inserter = &mut local.submaps.range_data_inserter.probability_grid_range_data_inserter;
     (inserter.hit_probability, inserter.miss_probability) = (0.9, miss_probability);
     let rest = pose(0.0, 0.0, 0.0);
-    let scans = vec![Measurement::Range(planar_scan(&rest, 0.0))];
-    let run = run::<Planar>(&options, scans);
+    let scans = vec![Measurement::Range(scan_2d(&rest, 0.0))];
+    let run = run::<Space2d>(&options, scans);
     let state = run.map.graph.state();
     let submap = state.submaps.values().next().unwrap().submap.as_ref().unwrap();
     let node = state.nodes.values().next().unwrap();
@@ -148,9 +148,9 @@ fn submap_with_misses(miss_probability: f64) -> (Submap2d, NodeData) {
 fn find(options: &Options, guess: [f64; 3], node: &NodeData) -> Option<MatchedPose> {
     let search = &options.map_builder.pose_graph.constraint_builder;
     let submap = &submap_and_node().0;
-    let matcher = Planar::build_matcher(submap, search).unwrap();
+    let matcher = Space2d::build_matcher(submap, search).unwrap();
     let guess = pose(guess[0], guess[1], guess[2]);
-    Planar::find_node(
+    Space2d::find_node(
         &matcher,
         submap,
         node,
@@ -178,8 +178,8 @@ fn contradicted_found(options: &Options) -> f64 {
     let acceptance = PoseGraphPolicy::new(&options.portolan).loops.acceptance;
     let region = SearchRegion::Window { travelled: f64::INFINITY, window: None, acceptance };
     let search = &options.map_builder.pose_graph.constraint_builder;
-    let matcher = Planar::build_matcher(&submap, search).unwrap();
-    let found = Planar::find_node(&matcher, &submap, &node, &Rigid3::identity(), region, search);
+    let matcher = Space2d::build_matcher(&submap, search).unwrap();
+    let found = Space2d::find_node(&matcher, &submap, &node, &Rigid3::identity(), region, search);
     f64::from(u8::from(found.is_some()))
 }
 
@@ -208,7 +208,7 @@ fn place_of_point(options: &Options) -> f64 {
 /// A graph with six loop closures of which one is 3 m off; how many are left.
 fn loops_after_final_optimization(options: &Options) -> f64 {
     let id = TrajectoryId(0);
-    let mut graph = PoseGraph::<Planar>::new(options.map_builder.pose_graph.clone());
+    let mut graph = PoseGraph::<Space2d>::new(options.map_builder.pose_graph.clone());
     graph.load_trajectory(id, None);
     let (submap, data) = submap_and_node();
     graph.load_submap(SubmapId::new(id, 0), Arc::new(submap.clone()), true, Rigid3::identity());
@@ -281,7 +281,7 @@ fn search() -> Vec<Effect> {
             ["pose_graph.global_sampling_ratio=0.2", "pose_graph.global_constraint_search_after_n_seconds=0"];
         "pose_graph.global_sampling_ratio", "0" => "0.3", Rises, |o| searches_of_two(o).whole_submap_searched as f64,
             ["pose_graph.global_constraint_search_after_n_seconds=0"];
-        "pose_graph.global_constraint_search_after_n_seconds", "0" => "100000", Falls, whole_searches_of_told,
+        "pose_graph.global_constraint_search_after_n_seconds", "0" => "100000", Falls, whole_searches_from_given_start,
             ["pose_graph.global_sampling_ratio=0.2"];
         "portolan.global_localization_min_matches", "1" => "1000", Falls, ties,
             ["pose_graph.global_sampling_ratio=0.3", "constraint_builder.global_localization_min_score=0.1"];

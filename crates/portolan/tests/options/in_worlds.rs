@@ -2,12 +2,12 @@
 
 use portolan::config::Options;
 use portolan::geometry::{Point3f, Rigid3, Vector3};
-use portolan::mapping::Spatial;
+use portolan::mapping::Space3d;
 use portolan::sensor::{FixedFramePoseData, Measurement, TimedPoint, TimedPointCloudData};
 
+use crate::local_3d::base;
 use crate::run::{Run, run};
-use crate::spatial::base;
-use crate::world::{at, imu, odometry, on_circle, spatial_scan};
+use crate::world::{at, imu, odometry, on_circle, scan_3d};
 
 /// Half of the width and of the height of a tunnel along x, metres.
 const TUNNEL: [f64; 2] = [2.0, 1.5];
@@ -45,7 +45,7 @@ fn way_through_tunnel(options: &Options) -> f64 {
         let x = 0.06 * f64::from((step - 9).max(0));
         measurements.push(Measurement::Range(scan_in_tunnel(x, seconds)));
     }
-    let run: Run<Spatial> = run(options, measurements);
+    let run: Run<Space3d> = run(options, measurements);
     run.last_pose().translation.x
 }
 
@@ -90,10 +90,10 @@ fn lifted(options: &Options) -> f64 {
                 time: at(seconds),
                 fixed_from_tracking: Some(climbing),
             }));
-            measurements.push(Measurement::Range(spatial_scan(&on_circle(seconds), seconds)));
+            measurements.push(Measurement::Range(scan_3d(&on_circle(seconds), seconds)));
         }
     }
-    let run: Run<Spatial> = run(options, measurements);
+    let run: Run<Space3d> = run(options, measurements);
     let nodes = run.map.graph.state().nodes.values();
     let height = |pose: &Rigid3| pose.translation.z;
     let lifted = nodes.map(|n| (height(&n.map_from_tracking) - height(&n.data.local_from_tracking)).abs());

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use portolan::config::Options;
 use portolan::geometry::{Rigid3, Time};
-use portolan::mapping::{Map, Mapper, MapperSettings, Planar, Space, Spatial};
+use portolan::mapping::{Map, Mapper, MapperSettings, Space, Space2d, Space3d};
 use portolan::sensor::{Measurement, SensorKind};
 
 use crate::run::sensor;
@@ -74,15 +74,15 @@ fn check_rounds<S: Space>(options: &Options, laps: fn(u32) -> Vec<Measurement>, 
 }
 
 #[test]
-fn in_the_plane_the_graph_is_bounded_and_the_trajectory_whole() {
+fn in_2d_the_graph_is_bounded_and_the_trajectory_whole() {
     let mut options = crate::graph::base();
     options.map_builder.pose_graph.optimize_every_n_nodes = 12;
-    check_rounds::<Planar>(&options, crate::graph::laps, 110);
+    check_rounds::<Space2d>(&options, crate::graph::laps, 110);
 }
 
 #[test]
-fn in_space_the_graph_is_bounded_and_the_trajectory_whole() {
-    let mut options = crate::spatial_graph::base();
+fn in_3d_the_graph_is_bounded_and_the_trajectory_whole() {
+    let mut options = crate::graph_3d::base();
     options.map_builder.pose_graph.optimize_every_n_nodes = 12;
-    check_rounds::<Spatial>(&options, crate::spatial_graph::laps, 70);
+    check_rounds::<Space3d>(&options, crate::graph_3d::laps, 70);
 }

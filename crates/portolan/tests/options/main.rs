@@ -7,17 +7,17 @@
 mod absurd;
 mod effect;
 mod graph;
+mod graph_3d;
 mod in_worlds;
 mod lifelong;
+mod local_2d;
+mod local_3d;
+mod matching_3d;
 mod optimization;
-mod planar;
 mod prediction;
 mod run;
+mod search_3d;
 mod sensors;
-mod spatial;
-mod spatial_graph;
-mod spatial_matching;
-mod spatial_search;
 mod world;
 
 use std::collections::BTreeSet;
@@ -32,10 +32,9 @@ const LOGS: [&str; 3] = [
 ];
 
 fn observed() -> BTreeSet<String> {
-    let in_space =
-        [spatial::table(), prediction::table(), spatial_matching::table(), spatial_search::table()];
-    let tables = [planar::table(), graph::table(), optimization::table(), sensors::table()];
-    let tables = tables.into_iter().chain(in_space);
+    let in_3d = [local_3d::table(), prediction::table(), matching_3d::table(), search_3d::table()];
+    let tables = [local_2d::table(), graph::table(), optimization::table(), sensors::table()];
+    let tables = tables.into_iter().chain(in_3d);
     let paths = tables.flatten().map(|effect| effect.path());
     paths.chain(LOGS.map(str::to_owned)).collect()
 }

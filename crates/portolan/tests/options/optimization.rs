@@ -188,12 +188,12 @@ fn base() -> Options {
 }
 
 pub fn table() -> Vec<Effect> {
-    let mut table = in_both_spaces();
-    table.extend(in_space());
+    let mut table = in_2d_and_3d();
+    table.extend(in_3d());
     table
 }
 
-fn in_both_spaces() -> Vec<Effect> {
+fn in_2d_and_3d() -> Vec<Effect> {
     effects! {
         "optimization_problem.huber_scale", "0.01" => "1000", Falls, |o| solve(o, optimize_2d, plain).loop_error();
         "optimization_problem.huber_scale", "0.01" => "1000", Falls, |o| solve(o, optimize_3d, plain).loop_error();
@@ -228,7 +228,7 @@ fn in_both_spaces() -> Vec<Effect> {
     }
 }
 
-fn in_space() -> Vec<Effect> {
+fn in_3d() -> Vec<Effect> {
     effects! {
         "acceleration_weight", "0" => "10000", Rises, |o| solve(o, optimize_3d, with_imu).acceleration();
         "optimization_problem.rotation_weight", "0" => "10000", Rises, |o| solve(o, optimize_3d, with_imu).turn();
@@ -239,8 +239,8 @@ fn in_space() -> Vec<Effect> {
 
 #[test]
 fn options_of_the_optimisation_have_their_effects() {
-    check(&base(), &in_both_spaces());
-    check(&base(), &in_space());
+    check(&base(), &in_2d_and_3d());
+    check(&base(), &in_3d());
 }
 
 #[test]

@@ -2,13 +2,13 @@
 
 use portolan::config::Options;
 use portolan::geometry::{Rigid3, rotation_angle};
-use portolan::mapping::Spatial;
+use portolan::mapping::Space3d;
 use portolan::sensor::{Measurement, TimedPointCloudData};
 
 use crate::effect::{Effect, check, effects};
+use crate::local_3d::{base, roll, scans};
 use crate::run::run;
-use crate::spatial::{base, roll, scans};
-use crate::world::{dense_scan, distance, imu, odometry, on_circle, pose, spatial_scan};
+use crate::world::{dense_scan, distance, imu, odometry, on_circle, pose, scan_3d};
 
 /// Level for a second, then the accelerometer alone says that the robot leans; what the last node believes.
 fn roll_after_leaning(options: &Options) -> f64 {
@@ -19,10 +19,10 @@ fn roll_after_leaning(options: &Options) -> f64 {
         sample.angular_velocity.fill(0.0);
         measurements.push(Measurement::Imu(sample));
         if step % 10 == 9 {
-            measurements.push(Measurement::Range(spatial_scan(&pose(0.0, 0.0, 0.0), seconds)));
+            measurements.push(Measurement::Range(scan_3d(&pose(0.0, 0.0, 0.0), seconds)));
         }
     }
-    let run = run::<Spatial>(options, measurements);
+    let run = run::<Space3d>(options, measurements);
     roll(&run.map.graph.state().nodes.values().next_back().unwrap().data.gravity_alignment)
 }
 
@@ -49,7 +49,7 @@ fn way_predicted(options: &Options) -> f64 {
     }
     let place = |step: u32| pose(0.1 * f64::from(step.saturating_sub(6)), 0.0, 0.0);
     let mut clouds: Vec<_> = (0..9).map(|step| dense_scan(&place(step), 0.2 * f64::from(step))).collect();
-    let mut last = spatial_scan(&place(9), 1.8);
+    let mut last = scan_3d(&place(9), 1.8);
     blind(&mut last);
     clouds.push(last);
     scans(&options, clouds).last_pose().translation.x
@@ -66,10 +66,10 @@ fn error_with_odometry(options: &Options) -> f64 {
         measurements.push(Measurement::Imu(imu(seconds, 0.0, 0.4 * seconds)));
         measurements.push(Measurement::Odometry(odometry(place(seconds), seconds)));
         if step % 10 == 0 {
-            measurements.push(Measurement::Range(spatial_scan(&place(seconds), seconds)));
+            measurements.push(Measurement::Range(scan_3d(&place(seconds), seconds)));
         }
     }
-    let run = run::<Spatial>(&options, measurements);
+    let run = run::<Space3d>(&options, measurements);
     let (first, last) = (run.results[0].local_from_tracking, run.last_pose());
     ((first.inverse() * last).translation.vector.norm() - distance(&place(0.0), &place(3.0))).abs()
 }
@@ -97,13 +97,13 @@ fn predicted(options: &Options, wild: f64) -> Rigid3 {
         if step % 10 != 0 {
             continue;
         }
-        let mut scan = spatial_scan(&truth, seconds);
+        let mut scan = scan_3d(&truth, seconds);
         if step == 60 {
             blind(&mut scan);
         }
         measurements.push(Measurement::Range(scan));
     }
-    run::<Spatial>(&options, measurements).last_pose()
+    run::<Space3d>(&options, measurements).last_pose()
 }
 
 /// One number for a predicted pose.
@@ -150,7 +150,7 @@ fn by_optimisation() -> Vec<Effect> {
 }
 
 #[test]
-fn options_of_predicting_in_space_have_their_effects() {
+fn options_of_predicting_in_3d_have_their_effects() {
     check(&base(), &by_velocity());
     let mut options = base();
     options.set("trajectory_builder_3d.pose_extrapolator.use_imu_based=true").unwrap();

@@ -248,7 +248,7 @@ fn bright_points(options: &Options) -> f64 {
 /// Dimension in which the recording would be mapped; 0 if that is not clear.
 fn dimension(options: &Options) -> f64 {
     match prepare(&recording(true), &ingest(&requested(options)), Some(options.clone())) {
-        Ok(preparation) if preparation.dimension == Dimension::Two => 2.0,
+        Ok(preparation) if preparation.dimension == Dimension::TwoD => 2.0,
         Ok(_) => 3.0,
         Err(_) => 0.0,
     }
@@ -302,10 +302,10 @@ fn single_settings_change_what_is_read_without_a_configuration() {
 }
 
 #[test]
-fn a_single_setting_chooses_between_plane_and_space() {
+fn a_single_setting_chooses_between_2d_and_3d() {
     for (setting, expected) in [
-        ("use_trajectory_builder_2d=true", Dimension::Two),
-        ("use_trajectory_builder_3d=true", Dimension::Three),
+        ("use_trajectory_builder_2d=true", Dimension::TwoD),
+        ("use_trajectory_builder_3d=true", Dimension::ThreeD),
     ] {
         let requested = RequestedOptions { configuration: None, settings: vec![setting.to_owned()] };
         let preparation = prepare(&recording(true), &ingest(&requested), None).unwrap();

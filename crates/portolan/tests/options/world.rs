@@ -78,7 +78,7 @@ pub fn scan_at(
 }
 
 /// A planar scan; every second beam looks up a little, so that points have heights.
-pub fn planar_scan(map_from_tracking: &Rigid3, seconds: f64) -> TimedPointCloudData {
+pub fn scan_2d(map_from_tracking: &Rigid3, seconds: f64) -> TimedPointCloudData {
     let mut scan = scan_at(map_from_tracking, seconds, &[0.0], 600);
     scan.intensities.clear();
     for point in scan.points_in_tracking.iter_mut().step_by(2) {
@@ -88,7 +88,7 @@ pub fn planar_scan(map_from_tracking: &Rigid3, seconds: f64) -> TimedPointCloudD
 }
 
 /// A scan in 3D of a tracking frame that may lean.
-pub fn spatial_scan(map_from_tracking: &Rigid3, seconds: f64) -> TimedPointCloudData {
+pub fn scan_3d(map_from_tracking: &Rigid3, seconds: f64) -> TimedPointCloudData {
     let elevations: Vec<f64> = (-5..=5).map(|ring| 0.09 * f64::from(ring)).collect();
     scan_at(map_from_tracking, seconds, &elevations, 90)
 }

@@ -42,7 +42,7 @@ pub(crate) struct LaserConfig {
 }
 
 /// x, y (metres) and heading (radians).
-pub(crate) type PlanarPose = [f64; 3];
+pub(crate) type Pose2d = [f64; 3];
 
 /// A scan.
 #[derive(Clone, Debug, PartialEq)]
@@ -54,7 +54,7 @@ pub(crate) struct LaserLine {
     pub ranges: Vec<f32>,
     pub remissions: Vec<f32>,
     /// Poses of the laser and of the robot, both in the frame of the odometry.
-    pub poses: Option<(PlanarPose, PlanarPose)>,
+    pub poses: Option<(Pose2d, Pose2d)>,
 }
 
 /// The times of a line as they stand there.
@@ -74,7 +74,7 @@ pub(crate) enum Line<'a> {
     /// A parameter of the robot.
     Param { name: &'a str, value: &'a str },
     /// Pose of the robot by its wheels.
-    Odometry { pose: PlanarPose, times: LineTimes<'a> },
+    Odometry { pose: Pose2d, times: LineTimes<'a> },
     /// A scan.
     Laser { laser: LaserLine, times: LineTimes<'a> },
     /// A kind of message that mapping does not need.

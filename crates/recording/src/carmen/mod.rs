@@ -15,7 +15,7 @@ use portolan_geometry::Time;
 
 use crate::text::TextFile;
 use crate::{MessageReader, Recording, RecordingError, TopicInfo};
-use line::{LaserKind, Line, PlanarPose, parse_line};
+use line::{LaserKind, Line, Pose2d, parse_line};
 use reader::CarmenReader;
 use survey::{Clock, Survey};
 
@@ -43,7 +43,7 @@ struct Scanner {
     topic: Arc<str>,
     frame: Arc<str>,
     /// The scanner on the robot; none if the log does not say.
-    mounting: Option<PlanarPose>,
+    mounting: Option<Pose2d>,
     count: u64,
 }
 

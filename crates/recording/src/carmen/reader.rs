@@ -6,7 +6,7 @@ use std::sync::Arc;
 use portolan_geometry::Time;
 
 use super::geometry::{MINIMUM_RANGE, scan_geometry};
-use super::line::{LaserLine, Line, PlanarPose, parse_line};
+use super::line::{LaserLine, Line, Pose2d, parse_line};
 use super::reorder::Reorder;
 use super::survey::Survey;
 use super::{Layout, OdometrySource};
@@ -126,7 +126,7 @@ impl MessageQueue {
     }
 
     /// Adds a pose of odometry, if poses are taken from there.
-    fn add_odometry(&mut self, source: OdometrySource, stamp: Time, pose: PlanarPose) {
+    fn add_odometry(&mut self, source: OdometrySource, stamp: Time, pose: Pose2d) {
         if self.wants(ODOMETRY) && self.layout.odometry == Some(source) {
             let message = odometry(stamp, pose, &self.frames);
             self.push(ODOMETRY, stamp, message, 1024);
@@ -214,7 +214,7 @@ fn static_transforms(layout: &Layout, frames: &Frames) -> Option<RecordedMessage
         .iter()
         .filter_map(|scanner| {
             let header = Header { stamp: layout.first_time, frame_id: frames.base.clone() };
-            let transform = planar_pose(scanner.mounting?);
+            let transform = pose_2d(scanner.mounting?);
             Some(TransformStamped { header, child_frame_id: scanner.frame.clone(), transform })
         })
         .collect();
@@ -223,16 +223,16 @@ fn static_transforms(layout: &Layout, frames: &Frames) -> Option<RecordedMessage
     (!transforms.is_empty()).then_some(RecordedMessage { topic, log_time: layout.first_time, message })
 }
 
-fn planar_pose([x, y, heading]: PlanarPose) -> Pose {
+fn pose_2d([x, y, heading]: Pose2d) -> Pose {
     let (sin, cos) = (heading / 2.0).sin_cos();
     Pose { position: [x, y, 0.0], orientation_xyzw: [0.0, 0.0, sin, cos] }
 }
 
-fn odometry(stamp: Time, pose: PlanarPose, frames: &Frames) -> Message {
+fn odometry(stamp: Time, pose: Pose2d, frames: &Frames) -> Message {
     Message::Odometry(Odometry {
         header: Header { stamp, frame_id: frames.odom.clone() },
         child_frame_id: frames.base.clone(),
-        pose: planar_pose(pose),
+        pose: pose_2d(pose),
         pose_covariance: vec![0.0; 36],
         linear_velocity: [0.0; 3],
         angular_velocity: [0.0; 3],

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use portolan_geometry::{Time, normalize_angle};
 
-use super::line::{LaserKind, Line, LineTimes, PlanarPose, parse_line};
+use super::line::{LaserKind, Line, LineTimes, Pose2d, parse_line};
 use super::{CarmenOptions, TimeColumn};
 use crate::text::{Lines, TextFile};
 use crate::{RecordingError, StampPattern};
@@ -59,14 +59,14 @@ fn possible_seconds(text: &str) -> Option<f64> {
 /// Where the laser sits on the robot, as its poses tell.
 #[derive(Clone, Debug, Default)]
 struct Mounting {
-    first: PlanarPose,
-    sum: PlanarPose,
+    first: Pose2d,
+    sum: Pose2d,
     count: u64,
     constant: bool,
 }
 
 impl Mounting {
-    fn add(&mut self, laser: PlanarPose, robot: PlanarPose) {
+    fn add(&mut self, laser: Pose2d, robot: Pose2d) {
         let (sin, cos) = robot[2].sin_cos();
         let (dx, dy) = (laser[0] - robot[0], laser[1] - robot[1]);
         let relative = [cos * dx + sin * dy, cos * dy - sin * dx, normalize_angle(laser[2] - robot[2])];
@@ -88,7 +88,7 @@ impl Mounting {
 
     /// The mounting to a tenth of a millimetre, if it was the same all the time. In corrected logs it
     /// is not, because there the laser pose is the result of a mapping program.
-    fn constant(&self) -> Option<PlanarPose> {
+    fn constant(&self) -> Option<Pose2d> {
         let mean = |first: f64, sum: f64| first + sum / self.count as f64;
         let round = |v: f64, step: f64| (v / step).round() * step;
         let ([x, y, heading], [dx, dy, turn]) = (self.first, self.sum);
@@ -241,7 +241,7 @@ impl Survey {
 
     /// Where the scanner sits on the robot: as its poses say all along, or else (in corrected logs) as
     /// the parameters say, or else at the origin of the robot.
-    pub fn mounting(&self, kind: LaserKind) -> Option<PlanarPose> {
+    pub fn mounting(&self, kind: LaserKind) -> Option<Pose2d> {
         let (parameter, heading) = match kind {
             LaserKind::Front | LaserKind::Robot(1) => ("robot_frontlaser_offset", 0.0),
             LaserKind::Rear | LaserKind::Robot(2) => ("robot_rearlaser_offset", std::f64::consts::PI),
@@ -264,7 +264,7 @@ impl Survey {
     }
 }
 
-fn agree(a: PlanarPose, b: PlanarPose) -> bool {
+fn agree(a: Pose2d, b: Pose2d) -> bool {
     (a[0] - b[0]).hypot(a[1] - b[1]) < MOUNTING_TOLERANCE.0
         && normalize_angle(a[2] - b[2]).abs() < MOUNTING_TOLERANCE.1
 }

@@ -19,7 +19,7 @@ pub(crate) use itinerary::{Itinerary, ItineraryRequest};
 pub use spline::SplineMotion;
 pub(crate) use spline::rotation;
 pub(crate) use tour::{TourRequest, plan_people, plan_tour};
-pub use walk::{PlanarState, Walk};
+pub use walk::{MotionState2d, Walk};
 
 /// Everything an inertial sensor could feel.
 #[derive(Clone, Copy, Debug, PartialEq)]

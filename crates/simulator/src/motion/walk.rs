@@ -9,7 +9,7 @@ use super::{Motion, MotionState, Rolling};
 
 /// Pose and derivatives of a robot in 2D.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PlanarState {
+pub struct MotionState2d {
     /// Metres in the map.
     pub position: Vector2,
     /// Radians; whole turns are kept.
@@ -46,7 +46,7 @@ struct TimedSpan {
     start_time: f64,
     duration: f64,
     /// At rest values of speed and rates are not used.
-    start: PlanarState,
+    start: MotionState2d,
     span: Span,
 }
 
@@ -56,14 +56,14 @@ struct TimedSpan {
 pub struct Walk {
     spans: Vec<TimedSpan>,
     end_time: f64,
-    end: PlanarState,
+    end: MotionState2d,
 }
 
 impl Walk {
     /// A walk that stands at a pose, to which spans are added.
     pub(crate) fn standing_at(position: Vector2, heading: f64) -> Self {
         let (sine, cosine) = libm::sincos(heading);
-        let end = PlanarState {
+        let end = MotionState2d {
             position,
             heading,
             direction: Vector2::new(cosine, sine),
@@ -95,7 +95,7 @@ impl Walk {
     }
 
     /// Pose and derivatives at `time` seconds; the start before 0, the end after the duration.
-    pub fn planar(&self, time: f64) -> PlanarState {
+    pub fn state_2d(&self, time: f64) -> MotionState2d {
         let after = self.spans.partition_point(|s| s.start_time <= time);
         match self.spans.get(after.saturating_sub(1)) {
             Some(span) if time < self.end_time => {
@@ -107,9 +107,9 @@ impl Walk {
 }
 
 impl TimedSpan {
-    fn state(&self, elapsed: f64) -> PlanarState {
+    fn state(&self, elapsed: f64) -> MotionState2d {
         let share = elapsed / self.duration;
-        let still = PlanarState {
+        let still = MotionState2d {
             speed: 0.0,
             acceleration: 0.0,
             turn_rate: 0.0,
@@ -118,7 +118,7 @@ impl TimedSpan {
         };
         match &self.span {
             Span::Rest => still,
-            Span::Pivot(angle) => PlanarState {
+            Span::Pivot(angle) => MotionState2d {
                 turn_rate: angle * smooth::slope(share) / self.duration,
                 turn_acceleration: angle * smooth::bend(share) / (self.duration * self.duration),
                 ..still.turned(angle * smooth::step(share))
@@ -126,7 +126,7 @@ impl TimedSpan {
             Span::Straight(from, to) => {
                 let gained = (to - from) * self.duration * smooth::area(share);
                 let distance = from * elapsed + gained;
-                PlanarState {
+                MotionState2d {
                     position: self.start.position + self.start.direction * distance,
                     speed: from + (to - from) * smooth::step(share),
                     acceleration: (to - from) * smooth::slope(share) / self.duration,
@@ -138,7 +138,7 @@ impl TimedSpan {
                 let (turned, first, second) = shape.heading(share);
                 let (local, d) = (shape.position(share) * *length, self.start.direction);
                 let moved = Vector2::new(d.x * local.x - d.y * local.y, d.y * local.x + d.x * local.y);
-                PlanarState {
+                MotionState2d {
                     position: self.start.position + moved,
                     speed: *speed,
                     turn_rate: first * speed / length,
@@ -151,7 +151,7 @@ impl TimedSpan {
     }
 }
 
-impl PlanarState {
+impl MotionState2d {
     fn turned(&self, angle: f64) -> Self {
         let heading = self.heading + angle;
         let (sine, cosine) = libm::sincos(heading);
@@ -172,7 +172,7 @@ impl Motion for Walk {
     }
 
     fn state(&self, time: f64) -> MotionState {
-        let s = self.planar(time);
+        let s = self.state_2d(time);
         let (d, left) = (s.direction, Vector2::new(-s.direction.y, s.direction.x));
         let velocity = d * s.speed;
         let acceleration = d * s.acceleration + left * (s.speed * s.turn_rate);
@@ -188,7 +188,7 @@ impl Motion for Walk {
 
 impl Rolling for Walk {
     fn rolled(&self, time: f64) -> (f64, f64) {
-        let state = self.planar(time);
+        let state = self.state_2d(time);
         (state.travelled, state.heading)
     }
 }

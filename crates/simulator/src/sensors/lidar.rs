@@ -203,7 +203,7 @@ impl Lidar {
     pub fn scan(&self, world: &World, walk: &Walk, index: u64, time: f64, stamp: Time) -> LaserScan {
         let mut random = Random::new(self.seed, &self.topic, index);
         let half_sweep = 0.5 * self.sweep_time();
-        let middle = walk.planar(time + half_sweep);
+        let middle = walk.state_2d(time + half_sweep);
         let people = NearbyPeople::around(
             world.people(),
             time + half_sweep,
@@ -216,7 +216,7 @@ impl Lidar {
             Vec::with_capacity(if self.options.intensities { self.options.beams } else { 0 });
         for (i, direction) in self.directions_in_base.iter().enumerate() {
             let beam_time = time + i as f64 * f64::from(self.time_increment);
-            let state = walk.planar(beam_time);
+            let state = walk.state_2d(beam_time);
             let (robot, d) = (state.position, state.direction);
             let to_map = |v: &Vector2| Vector2::new(d.x * v.x - d.y * v.y, d.y * v.x + d.x * v.y);
             let ray = Ray { origin: robot + to_map(&self.origin_in_base), direction: to_map(direction) };

@@ -204,7 +204,7 @@ impl<M: Rolling> MessageStream for OdometryStream<M> {
         let odometry = Odometry {
             header: Header { stamp, frame_id: Arc::clone(&self.frame) },
             child_frame_id: Arc::clone(&self.child_frame),
-            pose: planar_pose(&self.odom_from_base),
+            pose: pose_2d(&self.odom_from_base),
             pose_covariance: diagonal([1e-3, 1e-3, 1e-6, 1e-6, 1e-6, 1e-2]),
             linear_velocity: [forward, 0.0, 0.0],
             angular_velocity: [0.0, 0.0, turn_rate],
@@ -216,7 +216,7 @@ impl<M: Rolling> MessageStream for OdometryStream<M> {
 }
 
 /// A pose in 2D as it stands in messages.
-fn planar_pose(pose: &Rigid2) -> Pose {
+fn pose_2d(pose: &Rigid2) -> Pose {
     let (sine, cosine) = libm::sincos(0.5 * pose.normalized_angle());
     Pose {
         position: [pose.translation.x, pose.translation.y, 0.0],

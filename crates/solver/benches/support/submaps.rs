@@ -50,7 +50,7 @@ pub fn submap_graph(nodes: usize) -> SubmapGraph {
 }
 
 impl SubmapGraph {
-    /// The planar problem of slam2d §14.6 without odometry.
+    /// The 2D problem of slam2d §14.6 without odometry.
     pub fn problem_2d(&self) -> Problem {
         let mut problem = Problem::new();
         let submaps: Vec<VariableId> = self.submaps.iter().map(|p| problem.add_se2(p)).collect();

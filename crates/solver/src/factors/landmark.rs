@@ -7,12 +7,12 @@ use super::rotation::{read_se2, read_se3};
 use super::se3_between::{PairJacobians, weighted_residual};
 use crate::sparse::{Factor, VariableId};
 
-/// A landmark seen at a time between two planar nodes. The tracking frame at that time is interpolated
+/// A landmark seen at a time between two 2D nodes. The tracking frame at that time is interpolated
 /// between the nodes with their gravity alignments; the residual is that of
 /// [`Se3Between`](super::Se3Between) from there to the landmark.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Landmark2d {
-    /// Previous node (planar), next node (planar), landmark (pose in 3D).
+    /// Previous node (2D), next node (2D), landmark (pose in 3D).
     pub variables: [VariableId; 3],
     /// Time of the observation as a fraction of the way from the previous to the next node.
     pub interpolation_factor: f64,
@@ -41,7 +41,7 @@ pub struct Landmark3d {
     pub rotation_weight: f64,
 }
 
-/// The tracking frame of a planar node.
+/// The tracking frame of a 2D node.
 fn tracking_pose(node: &Rigid2, gravity_alignment: &Quaternion) -> Rigid3 {
     let pose = embed_3d(node);
     Rigid3::from_parts(pose.translation, pose.rotation * gravity_alignment)

@@ -6,10 +6,10 @@ use portolan_geometry::{Quaternion, Rigid2, Rigid3, Vector3, normalize_angle};
 use super::rotation::{Matrix3, put, put_residual, read_rotation, read_se2, read_se3, vector_part_jacobian};
 use crate::sparse::{Factor, VariableId};
 
-/// A planar pose near a given one: `( w_t (t − t*), w_r norm(θ − θ*) )`.
+/// A 2D pose near a given one: `( w_t (t − t*), w_r norm(θ − θ*) )`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Se2Prior {
-    /// The planar pose.
+    /// The 2D pose.
     pub variable: VariableId,
     /// Where it is pulled.
     pub pose: Rigid2,
@@ -45,7 +45,7 @@ pub struct RotationPrior {
     pub weight: f64,
 }
 
-/// Numbers near given ones: `w (x − x*)`, for up to four numbers of a Euclidean, planar or scalar variable.
+/// Numbers near given ones: `w (x − x*)`, for up to four numbers of a Euclidean, 2D or scalar variable.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EuclideanPrior {
     /// The variable.

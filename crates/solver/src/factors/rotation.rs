@@ -8,7 +8,7 @@ use portolan_geometry::{Quaternion, Rigid2, Rigid3, Vector3};
 
 pub(super) type Matrix3 = na::Matrix3<f64>;
 
-/// A planar pose from its variable.
+/// A 2D pose from its variable.
 pub(super) fn read_se2(values: &[f64]) -> Option<Rigid2> {
     let &[x, y, angle] = values else { return None };
     Some(Rigid2::new(x, y, angle))

@@ -12,7 +12,7 @@ use crate::sparse::{Factor, VariableId};
 /// a node.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Se2Between {
-    /// The two planar poses i and j.
+    /// The two poses i and j.
     pub variables: [VariableId; 2],
     /// Pose j seen from pose i.
     pub measurement: Rigid2,
@@ -26,7 +26,7 @@ pub struct Se2Between {
 /// `e = z⁻¹ (x_i⁻¹ x_j)` as (x, y, θ), cost `½ eᵀΩe`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Se2BetweenInformation {
-    /// The two planar poses i and j.
+    /// The two poses i and j.
     pub variables: [VariableId; 2],
     /// Pose j seen from pose i.
     pub measurement: Rigid2,

@@ -43,9 +43,9 @@ pub struct PoseGraph<P: GraphPose> {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Graph {
     /// In 2D.
-    Planar(PoseGraph<Rigid2>),
+    TwoD(PoseGraph<Rigid2>),
     /// In 3D.
-    Spatial(PoseGraph<Rigid3>),
+    ThreeD(PoseGraph<Rigid3>),
 }
 
 /// Why a graph cannot be optimised.
@@ -173,24 +173,24 @@ impl Graph {
     /// How many vertices there are.
     pub fn vertex_count(&self) -> usize {
         match self {
-            Self::Planar(g) => g.vertices.len(),
-            Self::Spatial(g) => g.vertices.len(),
+            Self::TwoD(g) => g.vertices.len(),
+            Self::ThreeD(g) => g.vertices.len(),
         }
     }
 
     /// How many edges there are.
     pub fn edge_count(&self) -> usize {
         match self {
-            Self::Planar(g) => g.edges.len(),
-            Self::Spatial(g) => g.edges.len(),
+            Self::TwoD(g) => g.edges.len(),
+            Self::ThreeD(g) => g.edges.len(),
         }
     }
 
     /// `Σ eᵀΩe` at the current poses.
     pub fn chi2(&self, convention: Se3ErrorConvention) -> f64 {
         match self {
-            Self::Planar(g) => g.chi2(convention),
-            Self::Spatial(g) => g.chi2(convention),
+            Self::TwoD(g) => g.chi2(convention),
+            Self::ThreeD(g) => g.chi2(convention),
         }
     }
 }

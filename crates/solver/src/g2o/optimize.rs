@@ -68,8 +68,8 @@ impl Default for OptimizeOptions {
 /// As [`optimize_pose_graph`].
 pub fn optimize_graph(graph: &mut Graph, options: &OptimizeOptions) -> Result<Report, GraphError> {
     match graph {
-        Graph::Planar(graph) => optimize_pose_graph(graph, options),
-        Graph::Spatial(graph) => optimize_pose_graph(graph, options),
+        Graph::TwoD(graph) => optimize_pose_graph(graph, options),
+        Graph::ThreeD(graph) => optimize_pose_graph(graph, options),
     }
 }
 

@@ -1,7 +1,7 @@
-//! What planar and spatial pose graphs have in common.
+//! What pose graphs in 2D and 3D have in common.
 
-mod planar;
-mod spatial;
+mod three_d;
+mod two_d;
 
 use std::fmt::Debug;
 use std::ops::Mul;

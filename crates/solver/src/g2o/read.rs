@@ -31,7 +31,7 @@ pub enum G2oError {
         /// What is needed.
         expected: &'static str,
     },
-    /// Poses of the plane and of space in one file.
+    /// Poses in 2D and in 3D in one file.
     #[error("line {line}: {tag} in a graph of the other dimension; split the file")]
     MixedDimensions {
         /// From 1.
@@ -124,7 +124,7 @@ const MOST_LINES_BEFORE_GRAPH: usize = 100_000;
 /// in any order.
 ///
 /// # Errors
-/// Reading fails, a line is too long or not what its tag promises, poses of the plane and of space are mixed, or the file holds no
+/// Reading fails, a line is too long or not what its tag promises, poses in 2D and in 3D are mixed, or the file holds no
 /// graph.
 pub fn read_g2o(mut input: impl BufRead) -> Result<(Graph, G2oRepairs), G2oError> {
     let mut reader = Reader::default();
@@ -137,7 +137,7 @@ pub fn read_g2o(mut input: impl BufRead) -> Result<(Graph, G2oRepairs), G2oError
             Line::TooLong => return Err(G2oError::LongLine { line, limit_mib: MAX_LINE >> 20 }),
             Line::Whole => reader.line(line, &String::from_utf8_lossy(&bytes))?,
         }
-        if line > MOST_LINES_BEFORE_GRAPH && reader.planar.is_empty() && reader.spatial.is_empty() {
+        if line > MOST_LINES_BEFORE_GRAPH && reader.two_d.is_empty() && reader.three_d.is_empty() {
             return Err(G2oError::Empty);
         }
     }
@@ -145,8 +145,8 @@ pub fn read_g2o(mut input: impl BufRead) -> Result<(Graph, G2oRepairs), G2oError
 
 #[derive(Default)]
 struct Reader {
-    planar: Builder<Rigid2>,
-    spatial: Builder<Rigid3>,
+    two_d: Builder<Rigid2>,
+    three_d: Builder<Rigid3>,
     fixed: Vec<i64>,
     repairs: G2oRepairs,
     numbers: Vec<f64>,
@@ -156,16 +156,16 @@ impl Reader {
     fn line(&mut self, line: usize, text: &str) -> Result<(), G2oError> {
         let mut words = text.split_ascii_whitespace();
         let Some(tag) = words.next().filter(|t| !t.starts_with('#')) else { return Ok(()) };
-        let is_planar = [Rigid2::TAGS.0, Rigid2::TAGS.1].contains(&tag);
-        let is_spatial = [Rigid3::TAGS.0, Rigid3::TAGS.1].contains(&tag);
-        if (is_planar && !self.spatial.is_empty()) || (is_spatial && !self.planar.is_empty()) {
+        let is_2d = [Rigid2::TAGS.0, Rigid2::TAGS.1].contains(&tag);
+        let is_3d = [Rigid3::TAGS.0, Rigid3::TAGS.1].contains(&tag);
+        if (is_2d && !self.three_d.is_empty()) || (is_3d && !self.two_d.is_empty()) {
             return Err(G2oError::MixedDimensions { line, tag: tag.into() });
         }
-        let Self { planar, spatial, fixed, repairs, numbers } = self;
-        let done = if is_planar {
-            planar.line(tag, words, numbers, repairs)
-        } else if is_spatial {
-            spatial.line(tag, words, numbers, repairs)
+        let Self { two_d, three_d, fixed, repairs, numbers } = self;
+        let done = if is_2d {
+            two_d.line(tag, words, numbers, repairs)
+        } else if is_3d {
+            three_d.line(tag, words, numbers, repairs)
         } else if tag == "FIX" {
             let ids: Option<Vec<i64>> = words.map(|w| w.parse().ok()).collect();
             ids.filter(|ids| !ids.is_empty()).map(|ids| fixed.extend(ids)).ok_or("whole numbers of vertices")
@@ -177,10 +177,10 @@ impl Reader {
     }
 
     fn finish(mut self) -> Result<(Graph, G2oRepairs), G2oError> {
-        let graph = if !self.planar.is_empty() {
-            Graph::Planar(self.planar.finish(&self.fixed, &mut self.repairs)?)
-        } else if !self.spatial.is_empty() {
-            Graph::Spatial(self.spatial.finish(&self.fixed, &mut self.repairs)?)
+        let graph = if !self.two_d.is_empty() {
+            Graph::TwoD(self.two_d.finish(&self.fixed, &mut self.repairs)?)
+        } else if !self.three_d.is_empty() {
+            Graph::ThreeD(self.three_d.finish(&self.fixed, &mut self.repairs)?)
         } else {
             return Err(G2oError::Empty);
         };

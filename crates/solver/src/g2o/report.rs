@@ -57,7 +57,7 @@ pub struct Report {
 impl Report {
     /// The graph and what was found, for people.
     pub fn text(&self, graph: &Graph) -> String {
-        let dimension = if matches!(graph, Graph::Planar(_)) { "in 2D" } else { "in 3D" };
+        let dimension = if matches!(graph, Graph::TwoD(_)) { "in 2D" } else { "in 3D" };
         let mut text = format!(
             "{} {dimension}, {}, {}\n",
             counted(graph.vertex_count() as u64, "pose", "poses"),

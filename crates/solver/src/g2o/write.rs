@@ -12,8 +12,8 @@ use super::pose::GraphPose;
 /// If writing fails.
 pub fn write_g2o(graph: &Graph, mut out: impl Write) -> io::Result<()> {
     match graph {
-        Graph::Planar(graph) => write(graph, &mut out),
-        Graph::Spatial(graph) => write(graph, &mut out),
+        Graph::TwoD(graph) => write(graph, &mut out),
+        Graph::ThreeD(graph) => write(graph, &mut out),
     }?;
     out.flush()
 }

@@ -39,7 +39,7 @@ pub enum Manifold {
     NonNegative,
     /// A position `(x, y, z)`.
     Translation(TranslationFreedom),
-    /// A planar pose `(x, y, θ)`, added; θ is not wrapped.
+    /// A 2D pose `(x, y, θ)`, added; θ is not wrapped.
     Se2,
     /// A unit quaternion `(w, x, y, z)`.
     Rotation(RotationFreedom),

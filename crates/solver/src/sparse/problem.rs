@@ -139,7 +139,7 @@ impl Problem {
         id
     }
 
-    /// Adds a planar pose.
+    /// Adds a 2D pose.
     pub fn add_se2(&mut self, pose: &Rigid2) -> VariableId {
         self.push(Manifold::Se2, &[pose.translation.x, pose.translation.y, pose.angle])
     }
@@ -272,7 +272,7 @@ impl Problem {
         Ok(())
     }
 
-    /// A planar pose; identity if the variable is none.
+    /// A 2D pose; identity if the variable is none.
     pub fn se2(&self, id: VariableId) -> Rigid2 {
         match self.values(id) {
             &[x, y, angle] => Rigid2::new(x, y, angle),

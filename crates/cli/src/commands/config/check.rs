@@ -30,8 +30,8 @@ pub fn run(args: &CheckArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     match loader.load(&args.file) {
         Ok(loaded) => {
             let dimension = match loaded.options.map_builder.dimension() {
-                Ok(Dimension::Two) => "mapping in 2D",
-                Ok(Dimension::Three) => "mapping in 3D",
+                Ok(Dimension::TwoD) => "mapping in 2D",
+                Ok(Dimension::ThreeD) => "mapping in 3D",
                 Err(_) => "mapping",
             };
             good(args, global, &loaded, dimension)

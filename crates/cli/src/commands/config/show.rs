@@ -68,11 +68,11 @@ fn load(args: &ShowArgs) -> Result<LoadedConfig, CliError> {
         settings: args.settings.set.clone(),
         ..Loader::default()
     };
-    let mut spatial = Options::for_3d();
-    spatial.set_engine(Engine::Planes);
+    let mut in_3d = Options::for_3d();
+    in_3d.set_engine(Engine::Planes);
     let loaded = match &args.settings.config {
         Some(path) => loader.load(path),
-        None if args.three_dimensions => loader.load_options(spatial),
+        None if args.three_dimensions => loader.load_options(in_3d),
         None => loader.load_options(Options::for_2d()),
     };
     loaded.map_err(|error| match error {

@@ -48,7 +48,7 @@ pub fn of_trajectory(args: &ConvertArgs, input: Forward, global: &GlobalArgs) ->
         measurement: pair[0].inverse() * pair[1],
         information,
     });
-    write(args, &Graph::Spatial(PoseGraph { vertices, edges: edges.collect() }))
+    write(args, &Graph::ThreeD(PoseGraph { vertices, edges: edges.collect() }))
 }
 
 fn write(args: &ConvertArgs, graph: &Graph) -> Result<Outcome, CliError> {

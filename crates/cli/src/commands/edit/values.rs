@@ -3,7 +3,7 @@
 use portolan_geometry::{Rigid3, Time, Vector3, rotation_from_roll_pitch_yaw};
 use portolan_pbstream::IdInFile;
 
-use crate::commands::argument::{id, numbers, planar_pose};
+use crate::commands::argument::{id, numbers, pose_2d};
 
 /// How to turn the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,7 +45,7 @@ pub fn point(text: &str) -> Result<Vector3, String> {
 /// x, y, yaw or x, y, z, roll, pitch, yaw: metres and degrees.
 fn pose(text: &str) -> Result<Rigid3, String> {
     if text.split(',').count() == 3 {
-        return planar_pose(text);
+        return pose_2d(text);
     }
     let [x, y, z, roll, pitch, yaw] = numbers::<6>(text, "X,Y,YAW or X,Y,Z,ROLL,PITCH,YAW")?;
     let rotation = rotation_from_roll_pitch_yaw(roll.to_radians(), pitch.to_radians(), yaw.to_radians());

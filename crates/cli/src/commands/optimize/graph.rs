@@ -46,7 +46,7 @@ fn json(args: &OptimizeArgs, graph: &Graph, report: &Report, notes: &[String]) -
         .collect();
     serde_json::json!({
         "output": args.output.display().to_string(),
-        "dimension": if matches!(graph, Graph::Planar(_)) { 2 } else { 3 },
+        "dimension": if matches!(graph, Graph::TwoD(_)) { 2 } else { 3 },
         "vertices": graph.vertex_count(),
         "edges": graph.edge_count(),
         "components": report.components,

@@ -61,7 +61,7 @@ pub fn options(draft: &MapDraft, settings: &[String]) -> Result<Options, CliErro
         None
     });
     let mut options = made_with.unwrap_or_else(|| match draft.dimension() {
-        Some(Dimension::Three) => Options::for_3d(),
+        Some(Dimension::ThreeD) => Options::for_3d(),
         _ => Options::for_2d(),
     });
     for setting in settings {

@@ -9,23 +9,23 @@ use portolan_simulator::{Scenario3dOptions, ScenarioOptions, motion::Carrier};
 use portolan_worlds::three_d::Scene3d;
 use portolan_worlds::two_d::Scene;
 
-use crate::commands::argument::spatial_pose;
+use crate::commands::argument::pose_3d;
 
 /// A kind of surroundings, in 2D or in 3D.
 #[derive(Clone, Copy, Debug)]
 pub enum AnyScene {
     /// A floor that a robot with a planar lidar drives on.
-    Plane(Scene),
+    TwoD(Scene),
     /// A world that one walks or drives through with spinning lidars.
-    Space(Scene3d),
+    ThreeD(Scene3d),
 }
 
 /// What is simulated.
 pub enum AnyScenario {
     /// In 2D.
-    Plane(Box<ScenarioOptions>),
+    TwoD(Box<ScenarioOptions>),
     /// In 3D.
-    Space(Box<Scenario3dOptions>),
+    ThreeD(Box<Scenario3dOptions>),
 }
 
 /// The building, the walk, the sensors and what goes wrong with them.
@@ -93,7 +93,7 @@ pub struct ScenarioArgs {
     lidar: Option<BeamTable>,
     /// Where a spinning lidar is on its carrier: metres and degrees; may be given once for each. 3D scenarios only.
     #[arg(long, help_heading = "Robot and sensors", value_name = "X,Y,Z,ROLL,PITCH,YAW",
-        value_parser = spatial_pose, allow_hyphen_values = true)]
+        value_parser = pose_3d, allow_hyphen_values = true)]
     mounting: Vec<Rigid3>,
     /// Leave the times of points out. 3D scenarios only.
     #[arg(long, help_heading = "Robot and sensors")]
@@ -137,23 +137,23 @@ impl ScenarioArgs {
     /// nothing in this scenario.
     pub fn scenario(&self) -> Result<AnyScenario, String> {
         let misplaced = match self.scene {
-            AnyScene::Plane(_) => self.only_in_space(),
-            AnyScene::Space(_) => self.only_in_plane(),
+            AnyScene::TwoD(_) => self.only_in_3d(),
+            AnyScene::ThreeD(_) => self.only_in_2d(),
         };
         if let Some(option) = misplaced {
-            let kind = if matches!(self.scene, AnyScene::Plane(_)) { "3D" } else { "planar" };
+            let kind = if matches!(self.scene, AnyScene::TwoD(_)) { "3D" } else { "planar" };
             return Err(format!("--{option} is for {kind} scenarios only"));
         }
         if self.mounting.len() > self.lidars.unwrap_or(1) {
             return Err(format!("--mounting is given {} times for fewer --lidars", self.mounting.len()));
         }
         Ok(match self.scene {
-            AnyScene::Plane(scene) => AnyScenario::Plane(Box::new(self.plane(scene))),
-            AnyScene::Space(scene) => AnyScenario::Space(Box::new(self.space(scene))),
+            AnyScene::TwoD(scene) => AnyScenario::TwoD(Box::new(self.options_2d(scene))),
+            AnyScene::ThreeD(scene) => AnyScenario::ThreeD(Box::new(self.options_3d(scene))),
         })
     }
 
-    fn only_in_space(&self) -> Option<&'static str> {
+    fn only_in_3d(&self) -> Option<&'static str> {
         let given = [
             ("storeys", self.storeys.is_some()),
             ("lidars", self.lidars.is_some()),
@@ -169,7 +169,7 @@ impl ScenarioArgs {
         given.into_iter().find(|(_, is_given)| *is_given).map(|(name, _)| name)
     }
 
-    fn only_in_plane(&self) -> Option<&'static str> {
+    fn only_in_2d(&self) -> Option<&'static str> {
         let given =
             [("closed-doors", self.closed_doors.is_some()), ("field-of-view", self.field_of_view.is_some())];
         given.into_iter().find(|(_, is_given)| *is_given).map(|(name, _)| name)
@@ -179,7 +179,7 @@ impl ScenarioArgs {
         self.seconds.or(self.minutes.map(|minutes| 60.0 * minutes))
     }
 
-    fn plane(&self, scene: Scene) -> ScenarioOptions {
+    fn options_2d(&self, scene: Scene) -> ScenarioOptions {
         let mut options = ScenarioOptions::new(scene, self.seed);
         options.building_seed = self.building_seed;
         options.duration = self.duration();
@@ -205,7 +205,7 @@ impl ScenarioArgs {
         if self.exact { options.without_noise() } else { options }
     }
 
-    fn space(&self, scene: Scene3d) -> Scenario3dOptions {
+    fn options_3d(&self, scene: Scene3d) -> Scenario3dOptions {
         let mut options = Scenario3dOptions::new(scene, self.seed, self.lidars.unwrap_or(1).min(9));
         options.building_seed = self.building_seed;
         options.duration = self.duration();
@@ -248,7 +248,7 @@ impl ScenarioArgs {
 fn scene_parser() -> impl TypedValueParser<Value = AnyScene> {
     let names = Scene::ALL.map(Scene::name).into_iter().chain(Scene3d::ALL.map(Scene3d::name));
     PossibleValuesParser::new(names).try_map(|name| {
-        name.parse::<Scene3d>().map(AnyScene::Space).or_else(|_| name.parse::<Scene>().map(AnyScene::Plane))
+        name.parse::<Scene3d>().map(AnyScene::ThreeD).or_else(|_| name.parse::<Scene>().map(AnyScene::TwoD))
     })
 }
 

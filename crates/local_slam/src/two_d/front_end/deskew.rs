@@ -39,10 +39,10 @@ impl FrontEnd {
         if measured == Measured::Nothing && seconds > LONGEST_UNMEASURED {
             return by(&mut |_| last);
         }
-        let planar = |pose| project_2d(&(pose * gravity.inverse()));
-        let told = planar(extrapolator.extrapolate_pose(ranges.time));
+        let pose_2d = |pose| project_2d(&(pose * gravity.inverse()));
+        let told = pose_2d(extrapolator.extrapolate_pose(ranges.time));
         let tracking_yaw = yaw(&gravity);
-        let motion = Motion { last: planar(last), seconds, measured, between_readings: None, tracking_yaw };
+        let motion = Motion { last: pose_2d(last), seconds, measured, between_readings: None, tracking_yaw };
         if measured == Measured::Whole {
             let step = motion.to(&self.tracker.suspected(told, motion)?);
             return by(&mut |time| {
@@ -62,7 +62,7 @@ impl FrontEnd {
         }
         self.tracker.forget_look();
         by(&mut |time| {
-            let predicted = planar(extrapolator.extrapolate_pose(time));
+            let predicted = pose_2d(extrapolator.extrapolate_pose(time));
             let share = error_share(time.seconds_since(last_time) / seconds);
             embed_3d(&with_share(&predicted, &(predicted * error), share)) * gravity
         })

@@ -14,8 +14,8 @@ use super::one_scan::Expected;
 /// Scans are at least so many seconds apart.
 const LEAST_INTERVAL: f64 = 1e-3;
 
-fn in_space(in_plane: Vector2) -> Vector3 {
-    Vector3::new(in_plane.x, in_plane.y, 0.0)
+fn embedded(in_2d: Vector2) -> Vector3 {
+    Vector3::new(in_2d.x, in_2d.y, 0.0)
 }
 
 impl FrontEnd {
@@ -24,7 +24,7 @@ impl FrontEnd {
         let Some(motion) = &expected.motion else { return };
         let guessed = self.note_guess(time, motion, found);
         let seconds = motion.seconds;
-        self.degenerate.moved(&in_space(motion.to(&found.pose).translation), seconds, &Vector3::z());
+        self.degenerate.moved(&embedded(motion.to(&found.pose).translation), seconds, &Vector3::z());
         let (of_way, of_turn) = match motion.measured {
             Measured::Whole => (Substitute::Odometry, Substitute::Odometry),
             Measured::Rotation => (Substitute::Velocity, Substitute::Gyroscope),
@@ -41,13 +41,13 @@ impl FrontEnd {
             LeftOpen::Nothing => {}
             LeftOpen::Along(direction) => {
                 self.gathered.translation += shift.powi(2);
-                self.degenerate.add_translations(&way, &[in_space(direction)], &Vector3::z());
+                self.degenerate.add_translations(&way, &[embedded(direction)], &Vector3::z());
             }
             LeftOpen::Everything => {
                 self.gathered.translation += shift.powi(2);
                 self.gathered.rotation += turned.powi(2);
-                let in_plane = [Vector3::x(), Vector3::y()];
-                self.degenerate.add_translations(&way, &in_plane, &Vector3::z());
+                let in_2d = [Vector3::x(), Vector3::y()];
+                self.degenerate.add_translations(&way, &in_2d, &Vector3::z());
                 self.degenerate.add_rotations(&turn, &[Vector3::z()], &Vector3::z());
             }
         }
@@ -63,7 +63,7 @@ impl FrontEnd {
         // What seems to stop where nothing tells the way may as well go on; what rested before does so still.
         let still_rests = velocity.is_rest() && self.guessed_way.rested();
         if still_rests || motion.is_measured() || found.left_open == LeftOpen::Nothing {
-            self.guessed_way.is_told(time, &found.pose, velocity);
+            self.guessed_way.add_known(time, &found.pose, velocity);
             return None;
         }
         let before = self.guessed_way.sigma(time - Duration::from_seconds(motion.seconds));

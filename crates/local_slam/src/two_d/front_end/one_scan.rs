@@ -5,7 +5,7 @@ use std::sync::Arc;
 use portolan_geometry::{Quaternion, Rigid2, Rigid3, Time, embed_3d, is_valid_pose, project_2d, to_f32, yaw};
 use portolan_issue::IssueKind;
 use portolan_sensor::{PointCloud, RangeData, voxel_filter};
-use portolan_submaps::{PlanarScan, Submap2d, search_after_gap};
+use portolan_submaps::{KeptScan2d, Submap2d, search_after_gap};
 
 use super::super::belief::{Fit, PoseBelief};
 use super::super::co_moving::Marked;
@@ -16,7 +16,7 @@ use super::super::occlusion::View;
 use super::super::scan::Scan;
 use super::super::tracking::{Found, LeftOpen};
 use super::FrontEnd;
-use crate::{InsertedNode, Lost, MatchingResult, NodeData, Planar, filtered};
+use crate::{InsertedNode, Lost, MatchingResult, NodeData, Space2d, filtered};
 
 /// A scan and where it is expected.
 pub(super) struct Expected<'a> {
@@ -37,7 +37,7 @@ impl FrontEnd {
         time: Time,
         gathered: &GatheredScan,
         gravity: Quaternion,
-    ) -> Option<MatchingResult<Planar>> {
+    ) -> Option<MatchingResult<Space2d>> {
         // 1. Leave out what moves along with the scanner.
         let (marked, without) = self.without_co_moving(time, gathered, &gravity);
         let scan = without.as_ref().unwrap_or(&gathered.range_data);
@@ -116,15 +116,15 @@ impl FrontEnd {
         let predicted = extrapolator.extrapolate_pose(time);
         let between_readings = extrapolator.between_readings(time);
         let cloud = self.to_be_matched(&scan.returns);
-        let planar = |pose: Rigid3| project_2d(&(pose * gravity.inverse()));
+        let pose_2d = |pose: Rigid3| project_2d(&(pose * gravity.inverse()));
         let motion = last_pose.map(|(last_time, last)| Motion {
-            last: planar(last),
+            last: pose_2d(last),
             seconds: time.seconds_since(last_time),
             measured,
-            between_readings: between_readings.map(planar),
+            between_readings: between_readings.map(pose_2d),
             tracking_yaw: yaw(gravity),
         });
-        Some(Expected { scan, cloud, prediction: planar(predicted), motion })
+        Some(Expected { scan, cloud, prediction: pose_2d(predicted), motion })
     }
 
     /// What a scan sees of the place, and the scan without what hides part of it. What is hidden is counted.
@@ -156,7 +156,7 @@ impl FrontEnd {
         &mut self,
         time: Time,
         gravity: Quaternion,
-    ) -> Option<MatchingResult<Planar>> {
+    ) -> Option<MatchingResult<Space2d>> {
         let nothing = RangeData::default();
         let expected = self.expected(time, &nothing, &gravity)?;
         self.carried_by_odometry(time, &expected, gravity)
@@ -169,7 +169,7 @@ impl FrontEnd {
         time: Time,
         Expected { scan, prediction, motion, .. }: &Expected,
         gravity: Quaternion,
-    ) -> Option<MatchingResult<Planar>> {
+    ) -> Option<MatchingResult<Space2d>> {
         let motion = motion.filter(|motion| self.tracker.is_adaptive() && motion.is_measured())?;
         let pose = embed_3d(&self.tracker.told_by_odometry(*prediction, &motion));
         let local_from_tracking = pose * gravity;
@@ -251,7 +251,7 @@ impl FrontEnd {
         Expected { prediction, motion, .. }: &Expected,
         found: &Found,
         gravity: &Quaternion,
-    ) -> Option<(Rigid2, Option<Lost<Planar>>)> {
+    ) -> Option<(Rigid2, Option<Lost<Space2d>>)> {
         let fit = found.agreement.map(|agreement| Fit {
             agreement,
             is_measured: motion.is_some_and(|motion| motion.is_measured()),
@@ -292,7 +292,7 @@ impl FrontEnd {
         matching_cloud: PointCloud,
         local_from_tracking: Rigid3,
         gravity_alignment: Quaternion,
-    ) -> InsertedNode<Planar> {
+    ) -> InsertedNode<Space2d> {
         let resolution = f64::from(self.options.submaps.grid_options_2d.resolution);
         let inserter = &self.inserter;
         let submaps = self
@@ -306,7 +306,7 @@ impl FrontEnd {
             low_resolution_point_cloud: PointCloud::default(),
             rotational_scan_matcher_histogram: Vec::new(),
             local_from_tracking,
-            scan: self.extras.keep_scans.then(|| PlanarScan::new(scan)),
+            scan: self.extras.keep_scans.then(|| KeptScan2d::new(scan)),
         });
         InsertedNode { gathered: self.gathered, ..InsertedNode::new(data, submaps) }
     }

@@ -7,7 +7,7 @@ use super::super::belief::PoseBelief;
 use super::super::co_moving::CoMoving;
 use super::super::start::Velocity;
 use super::{FrontEnd, no_submaps};
-use crate::{Lost, OdometryBridge, Planar, motion_filter};
+use crate::{Lost, OdometryBridge, Space2d, motion_filter};
 
 /// A velocity is given to predictions as the motion of so many seconds.
 const SHORTLY: f64 = 0.1;
@@ -15,7 +15,7 @@ const SHORTLY: f64 = 0.1;
 impl FrontEnd {
     /// Ends the piece of map that nothing ties to what comes: the scanner is believed to stand at this pose of the tracking
     /// frame, and new submaps are drawn from there.
-    fn begin_anew(&mut self, since: Time, time: Time, local_from_tracking: Rigid3) -> Lost<Planar> {
+    fn begin_anew(&mut self, since: Time, time: Time, local_from_tracking: Rigid3) -> Lost<Space2d> {
         let remaining = self.active_submaps.finish();
         self.active_submaps = no_submaps(&self.options, &self.extras);
         self.motion_filter = motion_filter(&self.options.motion_filter);
@@ -36,7 +36,7 @@ impl FrontEnd {
         since: Time,
         time: Time,
         gravity: &Quaternion,
-    ) -> (Rigid2, Option<Lost<Planar>>) {
+    ) -> (Rigid2, Option<Lost<Space2d>>) {
         let reckoned = self.reckoned.bridge();
         let pose = reckoned.map_or(self.last_sure, |(tracking, _)| Rigid2 {
             angle: tracking.angle - yaw(gravity),
@@ -53,7 +53,7 @@ impl FrontEnd {
         time: Time,
         (seconds, bridge): (f64, OdometryBridge),
         local_from_tracking: Rigid3,
-    ) -> Lost<Planar> {
+    ) -> Lost<Space2d> {
         let since = time - Duration::from_seconds(seconds);
         Lost { bridge: Some(bridge), ..self.begin_anew(since, time, local_from_tracking) }
     }

@@ -159,7 +159,7 @@ impl Tracker {
         let Some(caught_up) = caught_up else { return (predicted, prior) };
         let other = MotionPrior { prediction: caught_up.around, ..prior };
         match (self.likely(&prior, &predicted, scan), self.likely(&other, &caught_up, scan)) {
-            (Some(as_told), Some(later)) if later > as_told => {
+            (Some(as_predicted), Some(later)) if later > as_predicted => {
                 (Hypothesis { otherwise: Some(predicted.around), ..caught_up }, other)
             }
             _ => (predicted, prior),

@@ -1,0 +1,108 @@
+//! A 3D map renewed by a recording that was localised in it: what is gone fades, what is new appears, and the rest stays
+//! as it was.
+//!
+//! As in 2D (`renewal.rs`): submaps of the recording stay if they show what the map did not know; what has changed in
+//! older ones is drawn into these, cell by cell; and older ones of which newer ones leave nearly nothing to be seen go. So
+//! nodes, submaps and constraints grow with the space that was seen, not with time.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use portolan_geometry::{Point3f, to_f32};
+use portolan_grids::SOLID_VOXEL;
+use portolan_mapping::{
+    PoseGraph, Replacement, Space3d, SubmapEntry, SubmapId, TrajectoryId, VoxelFate, of_trajectory,
+};
+
+use crate::changes::{ChangeCounter, ChangeKind};
+use crate::known_map_3d::KnownMap3d;
+use crate::renewal::{Renewal, discovering};
+use crate::voxel_changes::{ChangedVoxels, KeptSweep, VoxelChanges};
+
+/// Edge of the cells in which is counted what the map does not know, metres: no surface is in a cell, or beside one, by
+/// chance.
+const CELL: f32 = 0.5;
+/// A submap that shows fewer of them is not worth its size: 10 m² of surfaces.
+const LEAST_NEW_CELLS: usize = 40;
+/// Two submaps show each place, as local SLAM draws them. Surfaces are never met in quite the same cells again, so that
+/// shares of a submap count as well.
+const REPLACEMENT: Replacement =
+    Replacement { newest: 2, least_seen: 2.0, most_alone: 0.1, least_share: 0.1, most_share_alone: 0.005 };
+
+type Cell = [i32; 3];
+
+fn cell_at(point: &Point3f) -> Cell {
+    [point.x, point.y, point.z].map(|v| (v / CELL).floor() as i32)
+}
+
+fn around([x, y, z]: Cell) -> impl Iterator<Item = Cell> {
+    (-1..=1).flat_map(move |i| (-1..=1).flat_map(move |j| (-1..=1).map(move |k| [x + i, y + j, z + k])))
+}
+
+/// Renews a map by a trajectory of it; `before` is the map without this trajectory.
+pub(crate) fn renew(
+    graph: &mut PoseGraph<Space3d>,
+    new: TrajectoryId,
+    before: &KnownMap3d,
+    sweeps: &[&KeptSweep],
+) -> Renewal {
+    let changes = changed_voxels(before, sweeps);
+    let all = unknown(graph, new, before);
+    let kept = discovering(&all.iter().map(|(id, cells)| (*id, cells)).collect(), LEAST_NEW_CELLS);
+    let discovered: BTreeSet<Cell> =
+        kept.iter().filter_map(|id| all.get(id)).flat_map(|cells| cells.iter().copied()).collect();
+    draw_changes(graph, new, &changes);
+    let superfluous = all.keys().filter(|id| !kept.contains(id)).copied().collect();
+    graph.remove_submaps(&superfluous);
+    let removed = graph.covered_by(new, REPLACEMENT);
+    graph.remove_submaps(&removed);
+    Renewal {
+        added_submaps: kept.len(),
+        removed_submaps: removed.len(),
+        appeared: changes.area(ChangeKind::Appeared),
+        gone: changes.area(ChangeKind::Gone),
+        discovered: discovered.len() as f64 * f64::from(CELL * CELL),
+    }
+}
+
+/// Draws what has changed into older submaps, and takes what is gone out of older scans.
+fn draw_changes(graph: &mut PoseGraph<Space3d>, new: TrajectoryId, changes: &ChangedVoxels) {
+    if changes.is_empty() {
+        return;
+    }
+    graph.patch_voxels(new, &|point| match changes.at(point) {
+        Some(ChangeKind::Appeared) => VoxelFate::Appeared,
+        _ if changes.is_gone(point) => VoxelFate::Gone,
+        _ => VoxelFate::Stays,
+    });
+    graph.forget_points_3d(new, &|point| changes.is_gone(point));
+}
+
+/// Cells of the map that scans contradict, from places some way apart.
+fn changed_voxels(before: &KnownMap3d, sweeps: &[&KeptSweep]) -> ChangedVoxels {
+    let mut counted = VoxelChanges::new(before.voxels.clone());
+    sweeps.iter().for_each(|sweep| counted.add(&sweep.placed()));
+    counted.changed()
+}
+
+/// What each submap of the trajectory shows that the map does not know.
+fn unknown(
+    graph: &PoseGraph<Space3d>,
+    new: TrajectoryId,
+    before: &KnownMap3d,
+) -> BTreeMap<SubmapId, BTreeSet<Cell>> {
+    let solid = before.occupancy.solid();
+    let known: BTreeSet<Cell> = solid.iter().flat_map(|point| around(cell_at(point))).collect();
+    let state = graph.state();
+    let of_submap = |(id, entry): (SubmapId, &SubmapEntry<Space3d>)| {
+        let map_from_submap = to_f32(&state.map_from_submap(id)?);
+        let grid = &entry.submap.as_ref()?.high_resolution_grid;
+        let mut cells = BTreeSet::new();
+        grid.for_each_cell(|cell, _| {
+            let point = map_from_submap * grid.cell_center(cell);
+            let is_new = grid.probability(cell) > SOLID_VOXEL && !before.occupancy.is_free(&point);
+            cells.extend(Some(cell_at(&point)).filter(|cell| is_new && !known.contains(cell)));
+        });
+        Some((id, cells))
+    };
+    of_trajectory(&state.submaps, new).filter_map(of_submap).collect()
+}

@@ -1,0 +1,107 @@
+//! A 3D scan as it is found in the map, and the joint cloud of several.
+
+use std::collections::BTreeMap;
+
+use portolan_geometry::{Point3f, to_f32};
+use portolan_mapping::columns_of_scans;
+use portolan_sensor::{PointCloud, voxel_filter_points};
+
+use crate::recent::RecentScans;
+
+/// Points are thinned to voxels of this edge, metres, and for registration to this number.
+const VOXEL: f32 = 0.25;
+const MOST_POINTS: usize = 600;
+/// Points that judge places lie in this range, metres, and are chosen evenly over slices of this height, metres: floors
+/// fit anywhere.
+const JUDGED_RANGE: f32 = 18.0;
+const SLICE: f32 = 0.3;
+const MOST_JUDGED: usize = 220;
+/// The cloud of all kept scans: reach, metres, and points for registration.
+const REACH: f32 = 30.0;
+const MOST_JOINT_POINTS: usize = 900;
+const MOST_THINNED: usize = 8000;
+
+/// A scan in its own level frame.
+#[derive(Clone, Debug)]
+pub struct Scan3d {
+    /// Points for registration, metres.
+    pub points: Vec<Point3f>,
+    /// Points that judge a place.
+    pub judged: Vec<Point3f>,
+    /// All of them, thinned.
+    pub thinned: Vec<Point3f>,
+}
+
+impl Scan3d {
+    /// Of all returns, in the level frame of the scanner.
+    pub fn new(returns: &PointCloud) -> Self {
+        let thinned = voxel_filter_points(&returns.points, VOXEL);
+        let near: Vec<Point3f> = thinned.iter().filter(|p| p.coords.norm() < JUDGED_RANGE).copied().collect();
+        Self { points: evenly(&thinned, MOST_POINTS), judged: over_heights(&near), thinned }
+    }
+}
+
+/// At most so many, evenly from all of them.
+fn evenly(points: &[Point3f], most: usize) -> Vec<Point3f> {
+    points.iter().step_by(points.len().div_ceil(most).max(1)).copied().collect()
+}
+
+/// As many of each height as possible.
+fn over_heights(points: &[Point3f]) -> Vec<Point3f> {
+    let mut slices: BTreeMap<i32, Vec<Point3f>> = BTreeMap::new();
+    for point in points {
+        slices.entry((point.z / SLICE).floor() as i32).or_default().push(*point);
+    }
+    let mut by_size: Vec<&Vec<Point3f>> = slices.values().collect();
+    by_size.sort_by_key(|slice| slice.len());
+    let (mut left, mut chosen) = (MOST_JUDGED, Vec::new());
+    for (i, slice) in by_size.iter().enumerate() {
+        let share = left / (by_size.len() - i);
+        let count = slice.len().min(share);
+        chosen.extend((0..count).filter_map(|k| slice.get(k * slice.len() / count)));
+        left -= count;
+    }
+    chosen
+}
+
+/// Scans as one cloud in the frame of the newest.
+#[derive(Clone, Debug)]
+pub struct JointScan3d {
+    /// Points for registration, metres.
+    pub points: Vec<Point3f>,
+    /// More of them.
+    pub thinned: Vec<Point3f>,
+    /// What stands upright, seen from above.
+    pub columns: PointCloud,
+}
+
+impl JointScan3d {
+    /// Of all kept scans.
+    pub fn of(recent: &RecentScans<Scan3d>) -> Self {
+        let mut points: Vec<Point3f> = Vec::new();
+        for (newest_from_scan, scan) in recent.seen_from_newest() {
+            let pose = to_f32(&newest_from_scan);
+            points.extend(scan.thinned.iter().map(|p| pose * p).filter(|p| p.coords.norm() < REACH));
+        }
+        let columns = columns_of_scans(points.iter().copied());
+        let thinned = voxel_filter_points(&points, VOXEL);
+        Self { points: evenly(&thinned, MOST_JOINT_POINTS), columns, thinned: evenly(&thinned, MOST_THINNED) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn floors_are_few_of_what_judges() {
+        let floor = (-40..40)
+            .flat_map(|x| (-40..40).map(move |y| Point3f::new(0.3 * x as f32, 0.3 * y as f32, -1.0)));
+        let wall = (-40..40)
+            .flat_map(|x| (0..8).map(move |z| Point3f::new(0.3 * x as f32, 5.05, 0.3 * z as f32 - 0.9)));
+        let points: Vec<Point3f> = floor.chain(wall).collect();
+        let scan = Scan3d::new(&PointCloud::new(points));
+        let of_wall = scan.judged.iter().filter(|p| p.z > -0.95).count();
+        assert!(scan.judged.len() <= MOST_JUDGED && of_wall * 10 > scan.judged.len() * 7, "{of_wall}");
+    }
+}
