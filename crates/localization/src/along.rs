@@ -10,18 +10,9 @@ use portolan_geometry::{Point3f, Vector3};
 use portolan_grids::{GridError, HybridGrid, VoxelIndex};
 use portolan_numeric::probabilities;
 
+use crate::settings::maps::{OCCUPANCY_CELL, SOLID_ALONG_PROBABILITY};
+use crate::settings::matching::{MOST_SLIDE_POINTS, POINTS_PER_INDEPENDENT_ONE, SLIDE_STEP};
 use crate::submap_cells::SubmapCells;
-
-/// Edge of a cell, metres, and what is no more solid than this is left out.
-const CELL: f32 = 0.2;
-const LEAST: f32 = 0.5;
-/// Places that are compared lie so far apart, metres.
-const STEP: f64 = 0.05;
-/// Neighbouring points share the errors of the map, so that so many count as one: on two drives, sweeps then scatter as far as
-/// they say (docs/experiments/2026-11-along-streets.md).
-const POINTS_PER_INDEPENDENT_ONE: f64 = 50.0;
-/// So many points are asked, evenly from all of them: more say the same.
-const MOST_POINTS: usize = 1000;
 
 /// How solid the submaps say that places are.
 pub(crate) struct SolidField {
@@ -50,12 +41,14 @@ impl SolidField {
     /// # Errors
     /// If there is no such grid.
     pub fn new() -> Result<Self, GridError> {
-        Ok(Self { cells: HybridGrid::new(CELL)? })
+        Ok(Self { cells: HybridGrid::new(OCCUPANCY_CELL)? })
     }
 
     /// Takes a submap.
     pub fn add(&mut self, submap: &SubmapCells) {
-        for (place, probability) in submap.cells.iter().filter(|(_, probability)| *probability >= LEAST) {
+        for (place, probability) in
+            submap.cells.iter().filter(|(_, probability)| *probability >= SOLID_ALONG_PROBABILITY)
+        {
             if let Some(cell) = self.cells.cell_index(place)
                 && *probability > self.cells.probability(cell)
             {
@@ -99,17 +92,19 @@ impl SolidField {
     /// Where points (metres, in the map) lie along a direction of unit length, within `reach` metres to either side: mean
     /// and variance of the places by their likelihood. What follows from the reach alone is no information.
     pub fn along(&self, points: &[Point3f], direction: &Vector3, reach: f64) -> Along {
-        let asked: Vec<&Point3f> = points.iter().step_by(points.len().div_ceil(MOST_POINTS).max(1)).collect();
+        let asked: Vec<&Point3f> =
+            points.iter().step_by(points.len().div_ceil(MOST_SLIDE_POINTS).max(1)).collect();
         let points_of_one = points.len() as f64 / asked.len().max(1) as f64;
-        let count = (reach / STEP).round().max(1.0) as i32;
-        let shifts: Vec<f64> = (-count..=count).map(|i| f64::from(i) * STEP).collect();
+        let count = (reach / SLIDE_STEP).round().max(1.0) as i32;
+        let shifts: Vec<f64> = (-count..=count).map(|i| f64::from(i) * SLIDE_STEP).collect();
         let sums = self.log_likelihoods(&asked, direction, &shifts).into_iter();
         let logs: Vec<f64> = sums.map(|sum| sum * points_of_one / POINTS_PER_INDEPENDENT_ONE).collect();
         let probabilities = probabilities(&logs);
         let mean = shifts.iter().zip(&probabilities).map(|(s, p)| s * p).sum::<f64>();
         let squares = shifts.iter().zip(&probabilities).map(|(s, p)| (s - mean).powi(2) * p);
-        let variance = squares.sum::<f64>() + STEP * STEP / 12.0;
-        let of_reach = shifts.iter().map(|s| s * s).sum::<f64>() / shifts.len() as f64 + STEP * STEP / 12.0;
+        let variance = squares.sum::<f64>() + SLIDE_STEP * SLIDE_STEP / 12.0;
+        let of_reach =
+            shifts.iter().map(|s| s * s).sum::<f64>() / shifts.len() as f64 + SLIDE_STEP * SLIDE_STEP / 12.0;
         let information = (1.0 / variance - 1.0 / of_reach).max(0.0);
         if mean.is_finite() && information.is_finite() {
             Along { shift: mean, information }
@@ -125,7 +120,7 @@ mod tests {
 
     /// Walls along x at y = ±4 m, and posts beside them.
     fn street(posts: &[f32]) -> SolidField {
-        let mut cells = HybridGrid::new(CELL).unwrap();
+        let mut cells = HybridGrid::new(OCCUPANCY_CELL).unwrap();
         for point in points(posts) {
             let cell = cells.cell_index(&point).unwrap();
             cells.set_probability(cell, 0.8);

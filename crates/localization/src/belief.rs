@@ -4,22 +4,16 @@
 use nalgebra as na;
 use portolan_geometry::{Quaternion, Rigid3, angle_axis_from_quaternion, quaternion_from_angle_axis};
 
+use crate::settings::tracking::{
+    DRIFT_METRES_BY_TIME, DRIFT_METRES_BY_WAY, DRIFT_RADIANS_BY_TIME, DRIFT_RADIANS_BY_TURN,
+    DRIFT_RADIANS_BY_WAY, INDEPENDENT_METRES, INDEPENDENT_RADIANS, INDEPENDENT_SECONDS,
+};
+
 /// Covariance, or information, of a pose in the map: x, y, z, and a small rotation about these axes; metres and radians.
 pub type Matrix6 = na::Matrix6<f64>;
 /// A small change of a pose in the same order.
 pub(crate) type Vector6 = na::Vector6<f64>;
 
-/// Drift of local SLAM as a random walk: metres per root of a metre, radians per root of a metre and of a radian, and
-/// metres and radians per root of a second.
-const SHIFT_BY_WAY: f64 = 0.04;
-const TURN_BY_WAY: f64 = 0.012;
-const TURN_BY_TURN: f64 = 0.02;
-const SHIFT_BY_TIME: f64 = 0.005;
-const TURN_BY_TIME: f64 = 0.001;
-/// Two matches are independent after this way, this turn or this time; nearer ones see the same errors of the map.
-const INDEPENDENT_METRES: f64 = 0.5;
-const INDEPENDENT_RADIANS: f64 = 0.35;
-const INDEPENDENT_SECONDS: f64 = 10.0;
 /// Variance of what cannot vary in 2D: so small that it changes nothing, and not 0, so that matrices can be inverted.
 const FIXED: f64 = 1e-9;
 
@@ -31,11 +25,6 @@ pub struct MapError {
     pub metres: f64,
     /// Radians.
     pub radians: f64,
-}
-
-impl MapError {
-    /// About what maps of the halves of real 2D logs are bent against those of the whole within a few metres.
-    pub const USUAL: Self = Self { metres: 0.035, radians: 0.008 };
 }
 
 /// How a scanner can move.
@@ -118,8 +107,10 @@ impl PoseEstimate {
         transition.fixed_view_mut::<3, 3>(0, 3).copy_from(&-turned.cross_matrix());
         let (way, turn) = (motion.translation.vector.norm(), motion.rotation.angle());
         let time = seconds.clamp(0.0, 10.0);
-        let shift = SHIFT_BY_WAY.powi(2) * way + SHIFT_BY_TIME.powi(2) * time;
-        let angle = TURN_BY_WAY.powi(2) * way + TURN_BY_TURN.powi(2) * turn + TURN_BY_TIME.powi(2) * time;
+        let shift = DRIFT_METRES_BY_WAY.powi(2) * way + DRIFT_METRES_BY_TIME.powi(2) * time;
+        let angle = DRIFT_RADIANS_BY_WAY.powi(2) * way
+            + DRIFT_RADIANS_BY_TURN.powi(2) * turn
+            + DRIFT_RADIANS_BY_TIME.powi(2) * time;
         let noise = Matrix6::from_diagonal(&self.freedom.variances(shift, angle));
         let covariance = transition * self.covariance * transition.transpose() + noise;
         self.covariance = self.freedom.restricted(&covariance);
@@ -163,6 +154,7 @@ pub(crate) fn offset(from: &Rigid3, to: &Rigid3) -> Vector6 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::settings::maps::USUAL_MAP_ERROR;
 
     fn along(x: f64) -> Rigid3 {
         Rigid3::translation(x, 0.0, 0.0)
@@ -171,7 +163,7 @@ mod tests {
     #[test]
     fn a_corridor_tells_nothing_along_it() {
         for freedom in [Freedom::TwoD, Freedom::ThreeD] {
-            let mut belief = PoseEstimate::new(Rigid3::identity(), freedom, MapError::USUAL, (0.2, 0.02));
+            let mut belief = PoseEstimate::new(Rigid3::identity(), freedom, USUAL_MAP_ERROR, (0.2, 0.02));
             let across = Matrix6::from_diagonal(&Vector6::new(0.0, 1e4, 1e4, 1e5, 1e5, 1e5));
             for _ in 0..100 {
                 belief.predict(&along(0.5), 0.5);
@@ -189,7 +181,7 @@ mod tests {
 
     #[test]
     fn standing_scans_do_not_add_up() {
-        let mut belief = PoseEstimate::new(Rigid3::identity(), Freedom::TwoD, MapError::USUAL, (1.0, 0.1));
+        let mut belief = PoseEstimate::new(Rigid3::identity(), Freedom::TwoD, USUAL_MAP_ERROR, (1.0, 0.1));
         let information = Matrix6::from_diagonal(&Vector6::new(1e3, 1e3, 0.0, 0.0, 0.0, 1e3));
         belief.update(&along(0.1), &information);
         let once = belief.sigmas().0;
@@ -202,7 +194,7 @@ mod tests {
 
     #[test]
     fn what_cannot_vary_in_2d_never_does() {
-        let mut belief = PoseEstimate::new(Rigid3::identity(), Freedom::TwoD, MapError::USUAL, (0.2, 0.02));
+        let mut belief = PoseEstimate::new(Rigid3::identity(), Freedom::TwoD, USUAL_MAP_ERROR, (0.2, 0.02));
         for _ in 0..10_000 {
             belief.predict(&Rigid3::translation(1.0, 0.5, 0.0), 0.1);
             let information = Matrix6::from_diagonal(&Vector6::new(1e4, 1e4, 0.0, 0.0, 0.0, 1e5));

@@ -8,14 +8,7 @@ use portolan_grids::{CellIndex, MapLimits};
 use crate::change_regions::{Region, regions};
 use crate::known_cells::{Counts, Known, KnownCells};
 use crate::placed_scan::{PlacedScan, around};
-
-/// A cell has changed if so many scans say so, this fraction of those that say anything, from two places at least so far
-/// apart, metres: somebody who stands for a moment is seen from one place.
-pub(crate) const SCANS: u16 = 4;
-pub(crate) const FRACTION: f64 = 0.75;
-pub(crate) const VIEWPOINTS: f64 = 1.0;
-/// Smaller regions are left out, square metres: three cells in a row are an edge that moved with the map's own error.
-const LEAST_AREA: f64 = 0.035;
+use crate::settings::changes::{CHANGING_FRACTION, CHANGING_SCANS, LEAST_CHANGED_AREA, VIEWPOINTS};
 
 /// How a place has changed since the map was made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -114,7 +107,7 @@ impl ChangeGrid {
         let cells: BTreeSet<usize> = self.sightings.keys().copied().filter(changed).collect();
         let edge = self.map.limits.resolution();
         let mut regions = regions(&cells, self.map.limits.num_x_cells() as usize);
-        regions.retain(|region| region.cells.len() as f64 * edge * edge >= LEAST_AREA);
+        regions.retain(|region| region.cells.len() as f64 * edge * edge >= LEAST_CHANGED_AREA);
         regions
     }
 
@@ -140,7 +133,7 @@ impl ChangeGrid {
             Known::Nothing => return None,
         };
         let all = f64::from(hits) + f64::from(passes);
-        let is_clear = for_it >= u32::from(SCANS) && f64::from(for_it) >= FRACTION * all;
+        let is_clear = for_it >= u32::from(CHANGING_SCANS) && f64::from(for_it) >= CHANGING_FRACTION * all;
         (is_clear && sightings.is_seen_from_two).then_some(kind)
     }
 

@@ -9,18 +9,15 @@ use rayon::prelude::*;
 use crate::evidence::Verdict;
 use crate::hypothesis::Hypothesis;
 use crate::information::open_direction;
-use crate::known_map::{KnownMap, ON_THE_WAY};
+use crate::known_map::KnownMap;
 use crate::paired::Discordant;
-use crate::recent::{KEPT, KeyScan, RecentScans, is_alike};
+use crate::recent::{KeyScan, RecentScans, is_alike};
 use crate::search::{Decision, Judge, Places, Searcher};
+use crate::settings::matching::NARROWEST_WINDOW;
+use crate::settings::scans::KEPT_SCANS;
+use crate::settings::search::{ELSEWHERE, EXAMINED_SPACING, MOST_EXAMINED};
 use crate::state::Reason;
 
-/// Places are examined so far apart along the way, metres, and no more of them: farther apart in larger maps.
-const SPACING: f64 = 2.0;
-const MOST_PLACES: f64 = 2000.0;
-/// Somewhere else is farther away than this, metres or radians. Who is told to be nearer than that finds the place by itself:
-/// scans that contradict are looked for a metre and 17° around.
-const ELSEWHERE: (f64, f64) = (1.0, 15.0 * std::f64::consts::PI / 180.0);
 /// Places that are examined at once; how many does not depend on the threads.
 const BATCH: usize = 8;
 
@@ -137,7 +134,7 @@ impl<'a, M: KnownMap> PlaceExaminer<'a, M> {
         for node in stop.before.iter().rev().copied().chain([stop.node]) {
             recent.offer(self.scan_of(node));
         }
-        let here = map.find(&self.scan_of(stop.node).scan, &truth, ON_THE_WAY);
+        let here = map.find(&self.scan_of(stop.node).scan, &truth, NARROWEST_WINDOW);
         let own = Hypothesis::along(map, &recent, &truth);
         let mut others = self.searcher.propose(&recent, None, &|pose| !is_elsewhere(pose, &truth));
         others.retain(|other| is_elsewhere(&other.belief.pose, &truth));
@@ -192,7 +189,7 @@ fn judge<M: KnownMap>(
 
 fn is_elsewhere(pose: &Rigid3, truth: &Rigid3) -> bool {
     let off = truth.inverse() * pose;
-    off.translation.vector.norm() > ELSEWHERE.0 || rotation_angle(&off) > ELSEWHERE.1
+    off.translation.vector.norm() > ELSEWHERE.metres || rotation_angle(&off) > ELSEWHERE.radians
 }
 
 /// Nodes along all trajectories, evenly.
@@ -205,7 +202,7 @@ fn stops<M: KnownMap>(state: &GraphState<M::Space>) -> Vec<Stop<'_>> {
     let way = |nodes: &Vec<(NodeId, &Node)>| {
         nodes.iter().zip(nodes.iter().skip(1)).map(|((_, a), (_, b))| step(a, b)).sum::<f64>()
     };
-    let spacing = SPACING.max(trajectories.iter().map(way).sum::<f64>() / MOST_PLACES);
+    let spacing = EXAMINED_SPACING.max(trajectories.iter().map(way).sum::<f64>() / MOST_EXAMINED);
     let mut stops = Vec::new();
     for nodes in &trajectories {
         let (mut way, mut next) = (0.0, 0.0);
@@ -232,7 +229,7 @@ fn way_there<'a, M: KnownMap>(nodes: &[(NodeId, &'a Node)], node: &Node) -> Vec<
             kept.push(node);
             after = here;
         }
-        if kept.len() + 1 == KEPT {
+        if kept.len() + 1 == KEPT_SCANS {
             break;
         }
     }

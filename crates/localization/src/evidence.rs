@@ -3,24 +3,11 @@
 use portolan_geometry::Time;
 use portolan_grids::ScanAgreement;
 
-/// A scan supports the place if the map explains at least this share of its beams and contradicts at most that share of
-/// what it knows …
-const EXPLAINED: f32 = 0.45;
-const MOST_CONTRADICTION: f32 = 0.35;
-/// … and speaks against it if the map contradicts so much of what it knows, where it knows at least that share.
-const CONTRADICTION: f32 = 0.5;
-const KNOWN: f32 = 0.25;
-/// So many seconds of scans that support bring full support, so many that contradict or that say nothing clear take it
-/// all. A scan counts for at least one time step and at most for a share of the whole.
-const SECONDS_TO_SUPPORT: f64 = 1.5;
-const SECONDS_TO_CONTRADICT: f64 = 1.6;
-const SECONDS_OF_NOTHING: f64 = 6.0;
-const MOST_OF_ONE_SCAN: f64 = 0.25;
-/// Above the one the place is known again, below the other not any more.
-const SURE: f64 = 0.7;
-const UNSURE: f64 = 0.4;
-/// With no support left it is lost after so many scans that spoke against it.
-const SCANS_TO_LOSE: u32 = 4;
+use crate::settings::evidence::{
+    CONTRADICTING_FRACTION, DOUBTED_SUPPORT, LEAST_KNOWN_FRACTION, MOST_CONTRADICTED, MOST_OF_ONE_SCAN,
+    SCANS_TO_LOSE, SECONDS_OF_NOTHING, SECONDS_TO_CONTRADICT, SECONDS_TO_SUPPORT, SUPPORTING_FRACTION,
+    SURE_SUPPORT, UNSURE_SUPPORT,
+};
 
 /// What a scan says of a place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,9 +24,9 @@ impl Verdict {
     pub fn of(agreement: &ScanAgreement) -> Self {
         let known = agreement.explained + agreement.contradicted();
         match agreement.contradiction() {
-            _ if known < KNOWN => Self::Unknown,
-            c if c >= CONTRADICTION => Self::Contradicts,
-            c if c <= MOST_CONTRADICTION && agreement.explained >= EXPLAINED => Self::Supports,
+            _ if known < LEAST_KNOWN_FRACTION => Self::Unknown,
+            c if c >= CONTRADICTING_FRACTION => Self::Contradicts,
+            c if c <= MOST_CONTRADICTED && agreement.explained >= SUPPORTING_FRACTION => Self::Supports,
             _ => Self::Mixed,
         }
     }
@@ -81,12 +68,12 @@ impl Support {
 
     /// Takes away what makes it sure.
     pub fn doubt(&mut self) {
-        self.level = self.level.min(0.9 * UNSURE);
+        self.level = self.level.min(DOUBTED_SUPPORT);
         self.judge();
     }
 
     fn judge(&mut self) {
-        self.is_sure = if self.is_sure { self.level >= UNSURE } else { self.level >= SURE };
+        self.is_sure = if self.is_sure { self.level >= UNSURE_SUPPORT } else { self.level >= SURE_SUPPORT };
     }
 
     pub fn is_sure(&self) -> bool {

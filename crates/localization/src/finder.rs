@@ -12,30 +12,18 @@ use crate::pace::Pace;
 use crate::paired::Discordant;
 use crate::placed_scan::PlacedScan;
 use crate::recent::{KeyScan, Offered, RecentScans};
-use crate::rivals::{BETTER_BY, BETTER_FIT, Rivals};
+use crate::rivals::Rivals;
 use crate::search::{Decision, Due, GivenStart, Judge, Places, PositionFix, Searcher, TimedPose};
+use crate::settings::matching::WINDOW_SIGMAS;
+use crate::settings::search::{
+    BETTER_BY, BETTER_FIT, CONFIRMING_SEARCHES, KNOWN_HEADING_SIGMA, STALE_FIX, START_AGREEMENT,
+    WIDEST_START_AREA,
+};
+use crate::settings::tracking::{
+    LOST_SIGMA, SLIP_FIT, SLIP_SIGMAS, SLIP_WINDOW, SURE_CHECK_METRES, SURE_CHECK_SECONDS,
+    UNCERTAIN_CHECK_SECONDS,
+};
 use crate::state::{Estimate, Place, Reason, State};
-
-/// A scan that contradicts the map where it is believed to be is looked for so far around, metres and radians, and
-/// believed to be there if it fits better by so much.
-const SLIPPED: Window = Window { metres: 1.0, radians: 0.3 };
-const SLIPPED_FIT: f64 = 0.2;
-const SLIPPED_SIGMAS: (f64, f64) = (0.15, 0.03);
-/// The whole map is searched for better places after so many seconds where the place is uncertain; where it is not, after
-/// more seconds and this way, metres.
-const CHECK_UNCERTAIN: f64 = 2.0;
-const CHECK_SURE: f64 = 10.0;
-const CHECK_WAY: f64 = 3.0;
-/// Another place is better if it is in so many searches.
-const BETTER_SEARCHES: u32 = 2;
-/// A start is looked around at if its heading is known to this standard deviation, radians; at any heading otherwise, if the
-/// area where it may be is not wider than this, metres: of a wider one the search of the whole map is as good.
-const WIDEST_START: f64 = 1.0;
-const WIDEST_AREA: f64 = 100.0;
-/// A satellite fix of so long before the scan before is not where the scanner is, seconds.
-const STALE_FIX: f64 = 0.5;
-/// Outside of the map the place is lost when its standard deviation reaches this, metres.
-const WIDEST: f64 = 2.0;
 
 /// A scan as local SLAM found it.
 pub struct LocalScan<'a> {
@@ -217,7 +205,7 @@ impl<M: KnownMap> Finder<M> {
     pub fn start_agrees(&self) -> Option<bool> {
         let (told, last) = (self.told.as_ref()?, self.last.as_ref()?);
         let Mode::Tracking(track) = &self.mode else { return None };
-        Some(told.agreement(&track.place, &last.local_from_scan) > 0.5)
+        Some(told.agreement(&track.place, &last.local_from_scan) > START_AGREEMENT)
     }
 
     /// Local SLAM lost its way: nothing that was seen before can be put together with what comes.
@@ -322,13 +310,13 @@ impl<M: KnownMap> Finder<M> {
         local_from_scan: &Rigid3,
         is_known: &(dyn Fn(&Rigid3) -> bool + Sync),
     ) -> Vec<Hypothesis> {
-        if told.sigmas.1 > WIDEST_START {
-            let area = Some(told.area(local_from_scan)).filter(|area| area.metres <= WIDEST_AREA);
+        if told.sigmas.1 > KNOWN_HEADING_SIGMA {
+            let area = Some(told.area(local_from_scan)).filter(|area| area.metres <= WIDEST_START_AREA);
             return area
                 .map_or_else(Vec::new, |area| self.searcher.propose(&self.recent, Some(area), is_known));
         }
         let near = told.map_from_scan * told.local_from_scan.inverse() * local_from_scan;
-        let window = Window { metres: 3.0 * told.sigmas.0, radians: 3.0 * told.sigmas.1 };
+        let window = Window { metres: WINDOW_SIGMAS * told.sigmas.0, radians: WINDOW_SIGMAS * told.sigmas.1 };
         let map = &self.searcher.map;
         let settled = map.settle(&map.joint(&self.recent), &near, window);
         Hypothesis::along(map, &self.recent, &settled).into_iter().collect()
@@ -342,11 +330,11 @@ impl<M: KnownMap> Finder<M> {
         track.place.look(map, &current.scan);
         let verdict = Verdict::of(&track.place.agreement);
         if verdict == Verdict::Contradicts {
-            let wide = map.find(&current.scan, &track.place.belief.pose, SLIPPED);
-            let is_better = fit(&wide.agreement) > fit(&track.place.agreement) + SLIPPED_FIT;
+            let wide = map.find(&current.scan, &track.place.belief.pose, SLIP_WINDOW);
+            let is_better = fit(&wide.agreement) > fit(&track.place.agreement) + SLIP_FIT;
             if is_better && Verdict::of(&wide.agreement) == Verdict::Supports {
                 track.rivals.add_left(track.place.clone());
-                track.place.slip(&wide, SLIPPED_SIGMAS);
+                track.place.slip(&wide, SLIP_SIGMAS);
                 track.support.doubt();
             }
         }
@@ -360,7 +348,7 @@ impl<M: KnownMap> Finder<M> {
             self.recent.forget_before(since);
             return lost(Reason::ScansContradict);
         }
-        if track.place.belief.sigmas().0 > WIDEST {
+        if track.place.belief.sigmas().0 > LOST_SIGMA {
             return lost(Reason::OutsideTheMap);
         }
         match verdict {
@@ -423,7 +411,7 @@ fn carried<S>(mode: Mode, current: &Current<S>) -> (Mode, State, Reason) {
             track.rivals.predict(&current.motion, current.seconds);
             track.support.add(Verdict::Unknown, current.time);
             track.doubt = reason;
-            if track.place.belief.sigmas().0 > WIDEST {
+            if track.place.belief.sigmas().0 > LOST_SIGMA {
                 return lost(reason);
             }
             let state = if track.support.is_sure() { State::Localised } else { State::Uncertain };
@@ -449,9 +437,9 @@ impl Track {
     fn is_check_due(&self, time: Time) -> bool {
         let waited = time.seconds_since(self.last_check);
         if self.support.is_sure() && self.beaten == 0 {
-            waited >= CHECK_SURE && self.way_since_check >= CHECK_WAY
+            waited >= SURE_CHECK_SECONDS && self.way_since_check >= SURE_CHECK_METRES
         } else {
-            waited >= CHECK_UNCERTAIN
+            waited >= UNCERTAIN_CHECK_SECONDS
         }
     }
 
@@ -469,6 +457,6 @@ impl Track {
         self.beaten += 1;
         self.support.doubt();
         self.doubt = Reason::AnotherPlaceFitsBetter;
-        self.beaten >= BETTER_SEARCHES
+        self.beaten >= CONFIRMING_SEARCHES
     }
 }

@@ -6,20 +6,11 @@ use portolan_geometry::Rigid3;
 use portolan_grids::ScanAgreement;
 
 use crate::belief::PoseEstimate;
-use crate::known_map::{KnownMap, ON_THE_WAY, ScanMatch, Window};
-use crate::recent::{KEPT, RecentScans};
-
-/// Scans are looked for within so many standard deviations of their prediction, and within these bounds, metres and
-/// radians.
-const WITHIN_SIGMAS: f64 = 3.0;
-const NARROWEST: Window = Window { metres: 0.1, radians: 0.03 };
-const WIDEST: Window = Window { metres: 1.5, radians: 0.6 };
-/// A match that lies farther from its prediction is none: the square of a Mahalanobis distance in three dimensions.
-const GATE: f64 = 25.0;
-/// What is known of a place that was just proposed: standard deviations, metres and radians.
-const PROPOSED: (f64, f64) = (0.1, 0.02);
-/// Places nearer to each other, metres and radians, are the same.
-const SAME_PLACE: (f64, f64) = (0.6, 0.2);
+use crate::known_map::{KnownMap, ScanMatch, Window};
+use crate::recent::RecentScans;
+use crate::settings::matching::{GATE_SQUARED_SIGMAS, NARROWEST_WINDOW, WIDEST_WINDOW, WINDOW_SIGMAS};
+use crate::settings::scans::KEPT_SCANS;
+use crate::settings::search::{PROPOSED_SIGMAS, SAME_PLACE};
 
 /// How well what was seen fits a place: shares of beams explained less contradicted, the mean of recent scans.
 pub(crate) fn fit(agreement: &ScanAgreement) -> f64 {
@@ -50,13 +41,13 @@ impl Hypothesis {
         let mut found = None;
         for kept in recent.iter().rev() {
             let guess = place * (after.local_from_scan.inverse() * kept.local_from_scan);
-            let here = map.find(&kept.scan, &guess, ON_THE_WAY);
+            let here = map.find(&kept.scan, &guess, NARROWEST_WINDOW);
             fits.push_front((here.agreement, here.pose));
             found.get_or_insert(here);
             (place, after) = (here.pose, kept);
         }
         let found: ScanMatch = found?;
-        let belief = PoseEstimate::new(found.pose, M::FREEDOM, map.error(), PROPOSED);
+        let belief = PoseEstimate::new(found.pose, M::FREEDOM, map.error(), PROPOSED_SIGMAS);
         Some(Self { belief, agreement: found.agreement, fits })
     }
 
@@ -87,7 +78,7 @@ impl Hypothesis {
             let newest = differences.get(..scans).unwrap_or(&differences);
             newest.iter().sum::<f64>() / newest.len().max(1) as f64
         };
-        [KEPT / 4, KEPT / 2, KEPT].into_iter().map(mean).fold(f64::INFINITY, f64::min)
+        [KEPT_SCANS / 4, KEPT_SCANS / 2, KEPT_SCANS].into_iter().map(mean).fold(f64::INFINITY, f64::min)
     }
 
     /// Where the recent scans were found, the newest first.
@@ -103,7 +94,7 @@ impl Hypothesis {
 
     /// How well scans fit over the recent ones, the newest half and the newest quarter of them, whichever is least.
     pub fn fit_lately(&self) -> f64 {
-        [KEPT / 4, KEPT / 2, KEPT]
+        [KEPT_SCANS / 4, KEPT_SCANS / 2, KEPT_SCANS]
             .map(|scans| self.fit_of_newest(scans))
             .into_iter()
             .fold(f64::INFINITY, f64::min)
@@ -117,7 +108,7 @@ impl Hypothesis {
     /// Finds a scan near the prediction.
     pub fn look<M: KnownMap>(&mut self, map: &M, scan: &M::Scan) {
         let found = map.find(scan, &self.belief.pose, self.window());
-        if self.belief.distance(&found.pose, &found.information) < GATE {
+        if self.belief.distance(&found.pose, &found.information) < GATE_SQUARED_SIGMAS {
             self.belief.update(&found.pose, &found.information);
         }
         // What decides is the pose that is told, not the one that fits best.
@@ -133,8 +124,8 @@ impl Hypothesis {
     fn window(&self) -> Window {
         let (metres, radians) = self.belief.sigmas();
         Window {
-            metres: (WITHIN_SIGMAS * metres).clamp(NARROWEST.metres, WIDEST.metres),
-            radians: (WITHIN_SIGMAS * radians).clamp(NARROWEST.radians, WIDEST.radians),
+            metres: (WINDOW_SIGMAS * metres).clamp(NARROWEST_WINDOW.metres, WIDEST_WINDOW.metres),
+            radians: (WINDOW_SIGMAS * radians).clamp(NARROWEST_WINDOW.radians, WIDEST_WINDOW.radians),
         }
     }
 
@@ -146,8 +137,8 @@ impl Hypothesis {
     /// Whether a pose is that of this place.
     pub fn is_at(&self, b: &Rigid3) -> bool {
         let a = &self.belief.pose;
-        (a.translation.vector - b.translation.vector).norm() < SAME_PLACE.0
-            && a.rotation.angle_to(&b.rotation) < SAME_PLACE.1
+        (a.translation.vector - b.translation.vector).norm() < SAME_PLACE.metres
+            && a.rotation.angle_to(&b.rotation) < SAME_PLACE.radians
     }
 }
 
@@ -156,8 +147,12 @@ impl Hypothesis {
 pub(crate) fn test_place(x: f64, fits: &[f32]) -> Hypothesis {
     let agreement = |fit: &f32| ScanAgreement { explained: *fit, ..ScanAgreement::default() };
     let pose = Rigid3::translation(x, 0.0, 0.0);
-    let belief =
-        PoseEstimate::new(pose, crate::belief::Freedom::TwoD, crate::belief::MapError::USUAL, PROPOSED);
+    let belief = PoseEstimate::new(
+        pose,
+        crate::belief::Freedom::TwoD,
+        crate::settings::maps::USUAL_MAP_ERROR,
+        PROPOSED_SIGMAS,
+    );
     Hypothesis {
         belief,
         agreement: fits.last().map(agreement).unwrap_or_default(),

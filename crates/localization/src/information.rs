@@ -3,16 +3,7 @@
 use portolan_geometry::Vector3;
 
 use crate::belief::{Freedom, Matrix6, Vector6};
-
-/// Standard deviation of the distance of one point from its wall, metres; so large because neighbours on one wall err
-/// together.
-const POINT_SIGMA: f64 = 0.1;
-/// Normals are off by some 10°: so much of the information of the strongest direction appears in the weakest
-/// without anything being there, and is taken off.
-const SPURIOUS: f64 = 0.04;
-/// In 3D, where what is strongest may tell nothing of the weakest: variance of a normal about each of two axes along its
-/// surface, rad².
-pub(crate) const NORMAL_VARIANCE: f64 = 0.03;
+use crate::settings::matching::{NORMAL_VARIANCE, POINT_SIGMA, SPURIOUS_FRACTION};
 
 /// A point at a surface: where it is from the scanner, in the axes of the map, and the normal of the surface there.
 #[derive(Clone, Copy)]
@@ -60,7 +51,7 @@ pub(crate) fn positive(information: &Matrix6) -> Matrix6 {
 
 /// Takes off what errors of normals add in every direction.
 fn without_spurious(information: &Matrix6, freedom: Freedom) -> Matrix6 {
-    reduced(information, lever_scale(information, freedom), SPURIOUS)
+    reduced(information, lever_scale(information, freedom), SPURIOUS_FRACTION)
 }
 
 /// With turns compared with shifts by a lever, metres: the part of it that is left when this fraction of the most is taken

@@ -8,21 +8,11 @@ use portolan_geometry::{
     Rigid3, Time, angle_axis_from_quaternion, quaternion_from_angle_axis, rotation_angle,
 };
 
+use crate::settings::jumps::{
+    CONFIRMED_AFTER, METRES_BY_TIME, METRES_BY_TURN, METRES_BY_WAY, OTHER_PLACE, RADIANS_BY_TIME,
+    RADIANS_BY_TURN, RADIANS_BY_WAY,
+};
 use crate::state::{Estimate, Reason, State};
-
-/// A correction is taken in over such a way and such a turn of the robot, metres for each metre and radian, radians for
-/// each metre and radian …
-const SHIFT_BY_WAY: f64 = 0.1;
-const SHIFT_BY_TURN: f64 = 0.05;
-const TURN_BY_WAY: f64 = 0.05;
-const TURN_BY_TURN: f64 = 0.1;
-/// … and at these rates in any case, metres and radians a second.
-const SHIFT_BY_TIME: f64 = 0.05;
-const TURN_BY_TIME: f64 = 0.02;
-/// A correction farther than this is another place and not a better pose, metres and radians; it is confirmed when the
-/// place was localised there for so long, seconds.
-const JUMP: (f64, f64) = (0.5, 0.2);
-const CONFIRMED_AFTER: f64 = 2.0;
 
 /// What to do with corrections.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -94,8 +84,8 @@ impl Corrections {
         let at = estimate.local_from_tracking;
         // Compared where the robot is: a turn about the far origin of the local map is no shift.
         let (now, wanted) = (told * at, *found * at);
-        let is_jump = (wanted.translation.vector - now.translation.vector).norm() > JUMP.0
-            || rotation_angle(&(now.inverse() * wanted)) > JUMP.1;
+        let is_jump = (wanted.translation.vector - now.translation.vector).norm() > OTHER_PLACE.metres
+            || rotation_angle(&(now.inverse() * wanted)) > OTHER_PLACE.radians;
         if self.jumps == Jumps::Immediate
             || self.jumps == Jumps::Hold && self.is_confirmed(estimate, found, is_jump)
         {
@@ -107,8 +97,8 @@ impl Corrections {
         let motion = from.inverse() * at;
         let (way, turn) = (motion.translation.vector.norm(), rotation_angle(&motion));
         let seconds = estimate.time.seconds_since(time).clamp(0.0, 1.0);
-        let most_shift = SHIFT_BY_WAY * way + SHIFT_BY_TURN * turn + SHIFT_BY_TIME * seconds;
-        let most_turn = TURN_BY_WAY * way + TURN_BY_TURN * turn + TURN_BY_TIME * seconds;
+        let most_shift = METRES_BY_WAY * way + METRES_BY_TURN * turn + METRES_BY_TIME * seconds;
+        let most_turn = RADIANS_BY_WAY * way + RADIANS_BY_TURN * turn + RADIANS_BY_TIME * seconds;
         towards(&now, &wanted, most_shift, most_turn) * at.inverse()
     }
 
@@ -120,7 +110,7 @@ impl Corrections {
         }
         let at = estimate.local_from_tracking;
         let is_same = |other: &Rigid3| {
-            ((*other * at).translation.vector - (*found * at).translation.vector).norm() < JUMP.0
+            ((*other * at).translation.vector - (*found * at).translation.vector).norm() < OTHER_PLACE.metres
         };
         let since =
             self.elsewhere.filter(|(_, other)| is_same(other)).map_or(estimate.time, |(since, _)| since);

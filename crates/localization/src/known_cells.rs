@@ -3,17 +3,11 @@
 use portolan_grids::{CellIndex, FREE_CELL, GridError, MapLimits, ProbabilityGrid, SOLID_CELL};
 use portolan_mapping::{GraphState, Space2d};
 
-use crate::changes::FRACTION;
 use crate::known_map::KnownMap;
 use crate::known_map_2d::KnownMap2d;
 use crate::likelihood::LikelihoodField;
 use crate::placed_scan::PlacedScan;
-
-/// Edge of the cells in which contradictions are counted, metres.
-const CELL: f64 = 0.1;
-/// So far, metres, what is new lies from all that was solid, and beams go on behind what is gone: scans, walls and their
-/// places in the map err together by a third of it ([`KnownMap::CERTAIN_PLACE`] and the 3.5 cm of the map).
-pub(crate) const CLEARANCE: f64 = 0.25;
+use crate::settings::changes::{CHANGE_CELL_2D, CHANGING_FRACTION, CLEARANCE};
 
 /// What the map says of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,7 +37,7 @@ impl KnownCells {
         state: &GraphState<Space2d>,
     ) -> Result<Self, GridError> {
         let fine = grid.limits();
-        let factor = (CELL / fine.resolution()).round().max(1.0);
+        let factor = (CHANGE_CELL_2D / fine.resolution()).round().max(1.0);
         let resolution = fine.resolution() * factor;
         let count = |cells: u32| cells.div_ceil(factor as u32);
         let limits =
@@ -83,7 +77,7 @@ impl KnownCells {
         });
         for (cell, known) in self.known.iter_mut().enumerate() {
             let (hits, passes) = (f64::from(hits.of(cell)), f64::from(passes.of(cell)));
-            if hits > (1.0 - FRACTION) * (hits + passes) {
+            if hits > (1.0 - CHANGING_FRACTION) * (hits + passes) {
                 *known = Known::Nothing;
             }
         }

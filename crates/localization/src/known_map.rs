@@ -12,6 +12,7 @@ use crate::finder::LocalScan;
 use crate::localizer::LocalizerWork;
 use crate::recent::RecentScans;
 use crate::renewal::Renewal;
+use crate::settings::maps::USUAL_MAP_ERROR;
 use crate::voxel_changes::KeptSweep;
 
 /// Single precision has steps of a centimetre so far from the origin, metres.
@@ -80,9 +81,6 @@ pub struct Area {
     pub metres: f64,
 }
 
-/// Where earlier scans of the way are looked for.
-pub(crate) const ON_THE_WAY: Window = Window { metres: 0.1, radians: 0.03 };
-
 /// A scan found in the map.
 #[derive(Clone, Copy, Debug)]
 pub struct ScanMatch {
@@ -119,7 +117,7 @@ pub trait KnownMap: Sized + Send + Sync + 'static {
 
     /// How far places in the map are off although scans fit.
     fn error(&self) -> MapError {
-        MapError::USUAL
+        USUAL_MAP_ERROR
     }
     /// The frame of a scan in the local map.
     fn local_from_scan(local_from_tracking: &Rigid3) -> Rigid3;

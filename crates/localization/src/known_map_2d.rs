@@ -9,15 +9,7 @@ use crate::known_cells::KnownCells;
 use crate::known_map::KnownMapError;
 use crate::likelihood::LikelihoodField;
 use crate::matcher_2d::Matcher2d;
-
-/// Cells of the one grid, at most: 290 m by 290 m at 5 cm. Larger maps get larger cells.
-const MAX_CELLS: f64 = (1 << 25) as f64;
-/// Edge of the cells in which places are proposed, metres.
-const COARSE: f64 = 0.2;
-/// Evidence of a cell beyond this adds nothing: a probability of 0.9.
-const CERTAIN: f32 = 2.197_224_6;
-/// What a distance field says of a cell that is not a surface, as log odds.
-const FREE_IN_DISTANCE_FIELD: f32 = -1.0;
+use crate::settings::maps::{COARSE_CELL, DISTANCE_FIELD_FREE_LOG_ODDS, MOST_GRID_CELLS, MOST_LOG_ODDS};
 
 /// A saved 2D map: the evidence of all its submaps, where the pose graph puts them.
 pub struct KnownMap2d {
@@ -56,7 +48,7 @@ impl KnownMap2d {
             let field = LikelihoodField::new(&grid);
             (grid, field)
         };
-        let ((grid, field), places) = rayon::join(fused, || PlaceIndex2d::new(&grids, COARSE));
+        let ((grid, field), places) = rayon::join(fused, || PlaceIndex2d::new(&grids, COARSE_CELL));
         if !field.has_walls() {
             return Err(KnownMapError::NoWalls);
         }
@@ -192,15 +184,15 @@ fn log_odds(grid: &Grid2d, cell: CellIndex) -> f32 {
     let cost = grid.correspondence_cost(cell);
     match grid {
         Grid2d::Probability(_) => ((1.0 - cost) / cost.max(1e-3)).max(1e-3).ln(),
-        Grid2d::Tsdf(_) if cost.abs() < SURFACE_CELLS * grid.limits().resolution() as f32 => CERTAIN,
-        Grid2d::Tsdf(_) => FREE_IN_DISTANCE_FIELD,
+        Grid2d::Tsdf(_) if cost.abs() < SURFACE_CELLS * grid.limits().resolution() as f32 => MOST_LOG_ODDS,
+        Grid2d::Tsdf(_) => DISTANCE_FIELD_FREE_LOG_ODDS,
     }
 }
 
 /// A grid in which all submaps lie; none without any.
 fn limits(placed: &[Placed]) -> Result<Option<MapLimits>, GridError> {
     let finest = placed.iter().map(|p| p.grid.limits().resolution()).fold(f64::INFINITY, f64::min);
-    MapLimits::of_points(placed.iter().flat_map(Placed::corners), finest, MAX_CELLS)
+    MapLimits::of_points(placed.iter().flat_map(Placed::corners), finest, MOST_GRID_CELLS)
 }
 
 /// Adds up what all submaps say of each cell.
@@ -216,7 +208,7 @@ fn fuse(placed: &[Placed], limits: MapLimits) -> ProbabilityGrid {
     }
     let mut grid = ProbabilityGrid::new(limits);
     for (cell, sum) in all_cells(&limits).zip(evidence).filter(|(_, sum)| *sum != 0.0) {
-        grid.set_probability(cell, 1.0 / (1.0 + (-sum.clamp(-CERTAIN, CERTAIN)).exp()));
+        grid.set_probability(cell, 1.0 / (1.0 + (-sum.clamp(-MOST_LOG_ODDS, MOST_LOG_ODDS)).exp()));
     }
     grid
 }

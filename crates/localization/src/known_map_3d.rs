@@ -14,7 +14,7 @@ use crate::belief::{Freedom, MapError, Matrix6};
 use crate::changes::ChangeCounter;
 use crate::finder::LocalScan;
 use crate::information::{Contact, information};
-use crate::known_map::{Area, KnownMap, KnownMapError, ON_THE_WAY, ScanMatch, Window};
+use crate::known_map::{Area, KnownMap, KnownMapError, ScanMatch, Window};
 use crate::known_planes::{add_cells, planes_of_every_other_node, with_nodes};
 use crate::localizer::LocalizerWork;
 use crate::occupancy::{Occupancy, OccupancyBuilder};
@@ -24,26 +24,15 @@ use crate::renewal::Renewal;
 use crate::renewal_3d::renew;
 use crate::residuals::Residuals;
 use crate::scan_3d::{JointScan3d, Scan3d};
+use crate::settings::changes::CERTAIN_PLACE_3D;
+use crate::settings::maps::{PLANE_VOXEL, USUAL_MAP_ERROR};
+use crate::settings::matching::{
+    MOST_REGISTRATION_STEPS, MOST_SLIDES, NARROWEST_REGISTRATION, NARROWEST_SLIDE, NARROWEST_WINDOW,
+    ON_PLANE, REGISTRATION_REACH, SETTLED, SLIDING_COSINE,
+};
+use crate::settings::search::{AROUND_PROPOSAL_3D, LONGEST_PAUSE_3D, MOST_PROPOSALS_3D};
 use crate::submap_cells::submap_cells;
 use crate::voxel_changes::{KeptSweep, KnownVoxels, VoxelChanges};
-
-/// Edge of the largest voxels of planes, metres.
-const VOXEL: f32 = 1.0;
-/// So many of the places that are seen from above, which fit best after registration, are looked into.
-const MOST_PROPOSED: usize = 8;
-/// Around a place where it is proposed.
-pub(crate) const AROUND_PROPOSAL: Window = Window { metres: 0.8, radians: 0.12 };
-/// A registration reaches no farther than this, metres; wider windows are searched from several places.
-const FARTHEST: f64 = 0.8;
-/// Planes nearer than this to a point explain it, metres.
-const ON_PLANE: f32 = 0.15;
-/// Planes whose normals have no more than this of a direction, as a cosine, let points slide along it: normals are off by 20°.
-const SLIDING: f64 = 0.35;
-/// A proposed place is looked for along the open direction until it moves less than this, metres, or so often.
-const SETTLED: f64 = 0.05;
-const MOST_SLIDES: usize = 4;
-/// Places along it are compared at least so far to either side, metres.
-const NARROWEST_SLIDE: f64 = 0.3;
 
 /// A saved 3D map.
 pub struct KnownMap3d {
@@ -75,7 +64,7 @@ impl KnownMap3d {
             return Err(KnownMapError::NoGrids(state.submaps.len()));
         }
         let (mut occupancy, mut solid, mut planes) =
-            (OccupancyBuilder::new()?, SolidField::new()?, PlaneMap::new(VOXEL));
+            (OccupancyBuilder::new()?, SolidField::new()?, PlaneMap::new(PLANE_VOXEL));
         for submap in submap_cells(state) {
             occupancy.add(&submap);
             solid.add(&submap);
@@ -101,11 +90,12 @@ impl KnownMap3d {
             above,
             registration,
             by_chance: 0.0,
-            error: MapError::USUAL,
+            error: USUAL_MAP_ERROR,
         };
         map.by_chance = explained_by_chance(&map, state);
         // Scans in planes to which they gave no point.
-        let all = std::mem::replace(&mut map.planes, Arc::new(planes_of_every_other_node(state, VOXEL)));
+        let all =
+            std::mem::replace(&mut map.planes, Arc::new(planes_of_every_other_node(state, PLANE_VOXEL)));
         map.error = error_of_own_scans(&map, state);
         map.planes = all;
         Ok(map)
@@ -113,8 +103,9 @@ impl KnownMap3d {
 
     /// Puts points on planes near a guess; the guess itself where they fit none.
     pub(crate) fn register(&self, points: &[Point3f], guess: &Rigid3, window: Window) -> Rigid3 {
-        let scale = window.metres.clamp(0.2, FARTHEST);
-        let sigmas = Sigmas { translation: scale, rotation: window.radians.max(0.01) };
+        let scale = window.metres.clamp(NARROWEST_REGISTRATION.metres, REGISTRATION_REACH.metres);
+        let sigmas =
+            Sigmas { translation: scale, rotation: window.radians.max(NARROWEST_REGISTRATION.radians) };
         let prior = PosePrior { pose: *guess, sigmas };
         let found = self.registration.register_scan(&self.planes, points, guess, &prior, scale);
         found.map(|f| f.pose).filter(is_valid_pose).unwrap_or(*guess)
@@ -135,11 +126,15 @@ impl KnownMap3d {
         let tells = |point: &Point3f| {
             self.planes.plane_near(point).is_none_or(|plane| {
                 let is_near = plane.normal.dot(&(point.coords - plane.point)).abs() < ON_PLANE;
-                !is_near || f64::from(plane.normal.dot(&along).abs()) > SLIDING
+                !is_near || f64::from(plane.normal.dot(&along).abs()) > SLIDING_COSINE
             })
         };
         let placed: Vec<Point3f> = points.iter().map(|p| map_from_scan * p).filter(tells).collect();
-        let found = self.solid.along(&placed, &direction, window.metres.clamp(NARROWEST_SLIDE, FARTHEST));
+        let found = self.solid.along(
+            &placed,
+            &direction,
+            window.metres.clamp(NARROWEST_SLIDE, REGISTRATION_REACH.metres),
+        );
         // Planes that face along it know the place, too.
         let held = direction.dot(&(by_planes.fixed_view::<3, 3>(0, 0) * direction)).max(0.0);
         let share = found.information / (found.information + held).max(f64::MIN_POSITIVE);
@@ -153,19 +148,24 @@ impl KnownMap3d {
 
     /// The same in windows of any size: of several places to begin with, the one that fits best.
     fn search(&self, points: &[Point3f], guess: &Rigid3, window: Window) -> Rigid3 {
-        let rings = ((window.metres - FARTHEST) / FARTHEST).ceil().clamp(0.0, 3.0) as i32;
-        let turns = ((window.radians - 0.15) / 0.15).ceil().clamp(0.0, 3.0) as i32;
+        let steps = |window: f64, reach: f64| {
+            ((window - reach) / reach).ceil().clamp(0.0, MOST_REGISTRATION_STEPS) as i32
+        };
+        let rings = steps(window.metres, REGISTRATION_REACH.metres);
+        let turns = steps(window.radians, REGISTRATION_REACH.radians);
         if rings == 0 && turns == 0 {
             return self.register(points, guess, window);
         }
-        let step = FARTHEST.min(window.metres);
+        let step = REGISTRATION_REACH.metres.min(window.metres);
         let shifts = (-rings..=rings).flat_map(|x| (-rings..=rings).map(move |y| (x, y)));
         let starts = shifts.flat_map(|(x, y)| (-turns..=turns).map(move |turn| (x, y, turn)));
         let from = |(x, y, turn): (i32, i32, i32)| {
             let mut start = *guess;
             start.translation.vector += step * Vector3::new(f64::from(x), f64::from(y), 0.0);
-            start.rotation = rotation_from_roll_pitch_yaw(0.0, 0.0, 0.15 * f64::from(turn)) * start.rotation;
-            let found = self.register(points, &start, AROUND_PROPOSAL);
+            start.rotation =
+                rotation_from_roll_pitch_yaw(0.0, 0.0, REGISTRATION_REACH.radians * f64::from(turn))
+                    * start.rotation;
+            let found = self.register(points, &start, AROUND_PROPOSAL_3D);
             (self.agreement_of(points, &found).explained, found)
         };
         let found: Vec<_> = starts.collect::<Vec<_>>().into_par_iter().map(from).collect();
@@ -231,8 +231,8 @@ impl KnownMap for KnownMap3d {
     type Scan = Scan3d;
     type Joint = JointScan3d;
     const FREEDOM: Freedom = Freedom::ThreeD;
-    const CERTAIN_PLACE: f64 = 0.12;
-    const LONGEST_PAUSE: f64 = 3.0;
+    const CERTAIN_PLACE: f64 = CERTAIN_PLACE_3D;
+    const LONGEST_PAUSE: f64 = LONGEST_PAUSE_3D;
 
     fn localizer_work() -> &'static LocalizerWork<Self> {
         &LOCALIZER_WORK
@@ -269,13 +269,13 @@ impl KnownMap for KnownMap3d {
         let area = area.as_ref().map(|area| (&area.centre, area.metres));
         let found = self.above.find(&joint.columns, area);
         let settled = found.poses.par_iter().filter(|pose| !is_known(pose)).map(|pose| {
-            let pose = self.settle(joint, pose, AROUND_PROPOSAL);
+            let pose = self.settle(joint, pose, AROUND_PROPOSAL_3D);
             let agreement = self.agreement_of(&joint.points, &pose);
             (agreement.explained - agreement.contradicted(), pose)
         });
         let mut settled: Vec<(f32, Rigid3)> = settled.collect();
         settled.sort_by(|a, b| b.0.total_cmp(&a.0));
-        settled.into_iter().take(MOST_PROPOSED).map(|(_, pose)| pose).collect()
+        settled.into_iter().take(MOST_PROPOSALS_3D).map(|(_, pose)| pose).collect()
     }
 
     fn settle(&self, joint: &JointScan3d, guess: &Rigid3, window: Window) -> Rigid3 {
@@ -287,7 +287,7 @@ impl KnownMap for KnownMap3d {
             if moved < SETTLED {
                 break;
             }
-            pose = self.register(&joint.points, &pose, ON_THE_WAY);
+            pose = self.register(&joint.points, &pose, NARROWEST_WINDOW);
         }
         pose
     }

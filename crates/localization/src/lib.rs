@@ -36,6 +36,7 @@ mod rivals;
 mod scan_2d;
 mod scan_3d;
 mod search;
+mod settings;
 mod state;
 mod submap_cells;
 mod trust;

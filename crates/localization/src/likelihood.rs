@@ -7,18 +7,10 @@ use portolan_geometry::{Rigid2, Vector2};
 use portolan_grids::{CellIndex, MapLimits, ProbabilityGrid, SOLID_CELL};
 
 use crate::known_map::Window;
+use crate::settings::matching::{GUESS_PREFERENCE, MOST_PLACEMENTS, RETURN_SIGMA, SEARCH_STEP, SEARCH_TURN};
 
-/// Standard deviation of the distance of a return from what it hit, metres: what makes steps of a search find it.
-const SIGMA: f64 = 0.12;
 /// Farther than so many standard deviations away a byte is 0.
 const FARTHEST: f64 = 4.0;
-/// Steps of the search, metres and radians.
-const STEP: f64 = 0.1;
-const TURN: f64 = 0.026;
-/// Placements that a search looks at, at most; wider windows are searched in larger steps.
-const MAX_PLACEMENTS: f64 = 2e5;
-/// By so much of the mean likelihood a placement at the edge of the window has to be better than the guess.
-const PREFERENCE: f64 = 0.03;
 
 /// Bytes: 255 at something solid, 0 far from everything.
 pub(crate) struct LikelihoodField {
@@ -30,7 +22,7 @@ impl LikelihoodField {
     pub fn new(grid: &ProbabilityGrid) -> Self {
         let limits = *grid.limits();
         let distances = squared_distances(grid);
-        let cells = SIGMA / limits.resolution();
+        let cells = RETURN_SIGMA / limits.resolution();
         let byte = |squared: f32| match f64::from(squared) / (cells * cells) {
             far if far > FARTHEST * FARTHEST => 0,
             near => (255.0 * (-0.5 * near).exp()).round() as u8,
@@ -45,7 +37,7 @@ impl LikelihoodField {
 
     /// What [`LikelihoodField::at`] says at a distance from something solid, metres.
     pub fn at_distance(metres: f64) -> f64 {
-        (-0.5 * (metres / SIGMA).powi(2)).exp()
+        (-0.5 * (metres / RETURN_SIGMA).powi(2)).exp()
     }
 
     /// 1 at something solid, 0 far from everything.
@@ -76,8 +68,8 @@ impl LikelihoodField {
     /// The placement of a scan in a window around a guess that is nearest to what is solid.
     pub fn search(&self, points: &[Vector2], guess: &Rigid2, window: Window) -> Rigid2 {
         let count = |width: f64, step: f64| (width / step - 1e-6).ceil().max(0.0);
-        let (mut shifts, mut turns) = (count(window.metres, STEP), count(window.radians, TURN));
-        while (2.0 * shifts + 1.0).powi(2) * (2.0 * turns + 1.0) > MAX_PLACEMENTS {
+        let (mut shifts, mut turns) = (count(window.metres, SEARCH_STEP), count(window.radians, SEARCH_TURN));
+        while (2.0 * shifts + 1.0).powi(2) * (2.0 * turns + 1.0) > MOST_PLACEMENTS {
             (shifts, turns) = ((0.8 * shifts).floor(), (0.8 * turns).floor());
         }
         let step = |width: f64, count: f64| if count > 0.0 { width / count } else { 0.0 };
@@ -101,7 +93,7 @@ impl LikelihoodField {
                 let mean = sum as f64 / (255.0 * points.len().max(1) as f64);
                 let part = |i: i32, most: i32| f64::from(i) / f64::from(most.max(1));
                 let off = part(x, shifts).powi(2) + part(y, shifts).powi(2) + part(turn, turns).powi(2);
-                let score = mean - PREFERENCE * off;
+                let score = mean - GUESS_PREFERENCE * off;
                 if score > best.0 {
                     best = (score, Rigid2 { translation: guess.translation + shift(x, y), angle });
                 }

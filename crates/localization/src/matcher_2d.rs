@@ -4,7 +4,7 @@ use portolan_geometry::{Point3f, Rigid2, Rigid3, Vector2, Vector3, embed_3d, pro
 use portolan_grids::{BeamEnd, ScanAgreement, beam_ends};
 use portolan_mapping::{NodeData, Space2d};
 use portolan_mapping::{PoseGraph, TrajectoryId};
-use portolan_matching::{GradientMatcher2d, GradientMatcherOptions2d, MatcherOptionError, WantedPlaces};
+use portolan_matching::{GradientMatcher2d, GradientMatcherOptions2d, MatcherOptionError};
 use portolan_sensor::PointCloud;
 
 use crate::belief::Freedom;
@@ -16,27 +16,10 @@ use crate::localizer::LocalizerWork;
 use crate::recent::RecentScans;
 use crate::renewal::{Renewal, renew};
 use crate::scan_2d::{JointScan2d, Scan2d};
+use crate::settings::changes::CERTAIN_PLACE_2D;
+use crate::settings::matching::{FARTHEST_DESCENT, NEAR_WALL_LIKELIHOOD};
+use crate::settings::search::{AROUND_PROPOSAL_2D, LONGEST_PAUSE_2D, PROPOSALS_2D};
 use crate::voxel_changes::KeptSweep;
-
-/// Descent that leaves the place which the search found is not believed beyond this, metres and radians.
-const FARTHEST_DESCENT: f64 = 0.25;
-const WIDEST_DESCENT: f64 = 0.1;
-/// What a search of the whole map proposes: what scores at least this in coarse cells, and this share of the best. The
-/// greedy search alone, so wide that it finds the best place, and most others, where corridors look alike
-/// (docs/experiments/2026-11-localise.md).
-const PROPOSALS: WantedPlaces = WantedPlaces {
-    min_score: 0.35,
-    share_of_best: 0.75,
-    separation: (0.8, 0.26),
-    most: 24,
-    most_points: 160,
-    beam: 8192,
-    lookups: 0,
-};
-/// Around a place where it is proposed, coarsely.
-const AROUND_PROPOSAL: Window = Window { metres: 0.3, radians: 0.06 };
-/// A point tells something if the field at its place is at least this: within some 15 cm of a wall.
-const NEAR_WALL: f64 = 0.45;
 
 /// Matches scans to a map.
 pub(crate) struct Matcher2d {
@@ -66,8 +49,8 @@ impl Matcher2d {
         let searched = map.field.search(points, guess, window);
         let descended = self.gradient.match_scan(searched.translation, &searched, cloud, &map.grid).pose;
         let is_near = descended.is_finite()
-            && (descended.translation - searched.translation).norm() < FARTHEST_DESCENT
-            && (descended.angle - searched.angle).abs() < WIDEST_DESCENT;
+            && (descended.translation - searched.translation).norm() < FARTHEST_DESCENT.metres
+            && (descended.angle - searched.angle).abs() < FARTHEST_DESCENT.radians;
         if is_near { descended } else { searched }
     }
 }
@@ -79,8 +62,8 @@ impl KnownMap for KnownMap2d {
     type Scan = Scan2d;
     type Joint = JointScan2d;
     const FREEDOM: Freedom = Freedom::TwoD;
-    const CERTAIN_PLACE: f64 = 0.08;
-    const LONGEST_PAUSE: f64 = 1.0;
+    const CERTAIN_PLACE: f64 = CERTAIN_PLACE_2D;
+    const LONGEST_PAUSE: f64 = LONGEST_PAUSE_2D;
 
     fn localizer_work() -> &'static LocalizerWork<Self> {
         &LOCALIZER_WORK
@@ -111,12 +94,12 @@ impl KnownMap for KnownMap2d {
     ) -> Vec<Rigid3> {
         let found = match area {
             Some(Area { centre, metres }) => {
-                self.places.find_within(&joint.cloud, &PROPOSALS, &centre, metres)
+                self.places.find_within(&joint.cloud, &PROPOSALS_2D, &centre, metres)
             }
-            None => self.places.find(&joint.cloud, &PROPOSALS),
+            None => self.places.find(&joint.cloud, &PROPOSALS_2D),
         };
         let poses = found.places.iter().map(|place| embed_3d(&place.pose)).filter(|pose| !is_known(pose));
-        poses.map(|pose| self.settle(joint, &pose, AROUND_PROPOSAL)).collect()
+        poses.map(|pose| self.settle(joint, &pose, AROUND_PROPOSAL_2D)).collect()
     }
 
     fn settle(&self, joint: &JointScan2d, guess: &Rigid3, window: Window) -> Rigid3 {
@@ -162,7 +145,7 @@ fn contacts<'a>(
     let contact = move |(point, tangent): (&Vector2, &Option<Vector2>)| {
         let along = rotation * (*tangent)?;
         let lever = rotation * point;
-        let is_near = map.field.at(&(lever + translation)) >= NEAR_WALL;
+        let is_near = map.field.at(&(lever + translation)) >= NEAR_WALL_LIKELIHOOD;
         let (lever, normal) = (Vector3::new(lever.x, lever.y, 0.0), Vector3::new(-along.y, along.x, 0.0));
         is_near.then_some(Contact { lever, normal })
     };

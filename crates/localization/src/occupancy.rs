@@ -4,17 +4,9 @@ use portolan_geometry::{Point3f, to_f32};
 use portolan_grids::{GridError, MAX_VOXEL_INDEX, SOLID_VOXEL, VoxelIndex, VoxelLattice};
 use portolan_mapping::{GraphState, Space3d};
 
+use crate::settings::maps::{FREE_BEAM_CLEARANCE, FREE_BEAM_RANGE, GONE_PROBABILITY, OCCUPANCY_CELL};
 use crate::submap_cells::SubmapCells;
 use crate::voxel_states::{VoxelState, VoxelStates};
-
-/// Edge of a cell, metres.
-pub(crate) const CELL: f32 = 0.2;
-/// Cells of submaps of less than this are free, if nothing solid is near: what was there is gone.
-const GONE: f32 = 0.12;
-/// Beams of nodes show free space to this range, and end so far in front of what they hit, metres: floors are met at
-/// grazing angles.
-const RANGE: f32 = 25.0;
-const IN_FRONT: f32 = 0.8;
 
 /// No cell has an index below the negative of this.
 const FIRST: i32 = MAX_VOXEL_INDEX;
@@ -38,7 +30,7 @@ impl OccupancyBuilder {
     /// # Errors
     /// If there is no such grid.
     pub fn new() -> Result<Self, GridError> {
-        let occupancy = Occupancy { lattice: VoxelLattice::new(CELL)?, cells: VoxelStates::new() };
+        let occupancy = Occupancy { lattice: VoxelLattice::new(OCCUPANCY_CELL)?, cells: VoxelStates::new() };
         Ok(Self { occupancy, faded: Vec::new() })
     }
 
@@ -46,7 +38,7 @@ impl OccupancyBuilder {
     pub fn add(&mut self, submap: &SubmapCells) {
         let Occupancy { lattice, cells } = &mut self.occupancy;
         for (place, probability) in &submap.cells {
-            if *probability < GONE {
+            if *probability < GONE_PROBABILITY {
                 self.faded.push(*place);
             } else if *probability > SOLID_VOXEL
                 && let Some(cell) = lattice.cell(place)
@@ -72,9 +64,10 @@ impl OccupancyBuilder {
             for point in clouds.into_iter().flat_map(|cloud| &cloud.points) {
                 let beam = pose * point - origin;
                 let length = beam.norm();
-                let steps = ((length.min(RANGE) - IN_FRONT) / CELL).max(0.0) as u32;
+                let steps =
+                    ((length.min(FREE_BEAM_RANGE) - FREE_BEAM_CLEARANCE) / OCCUPANCY_CELL).max(0.0) as u32;
                 // In cells, from where no index is negative: whole parts are then the indices.
-                let first = origin.coords.map(|v| v / CELL + 0.5 + FIRST as f32);
+                let first = origin.coords.map(|v| v / OCCUPANCY_CELL + 0.5 + FIRST as f32);
                 let step = beam / length;
                 for i in 2..steps {
                     let cell = (first + step * i as f32).map(|v| (v as i32).saturating_sub(FIRST));

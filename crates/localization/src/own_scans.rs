@@ -6,24 +6,17 @@ use portolan_mapping::{GraphState, Node, Space3d};
 use rayon::prelude::*;
 
 use crate::belief::{MapError, Matrix6, Vector6, offset};
-use crate::known_map::{KnownMap, ON_THE_WAY};
-use crate::known_map_3d::{AROUND_PROPOSAL, KnownMap3d};
+use crate::known_map::KnownMap;
+use crate::known_map_3d::KnownMap3d;
 use crate::scan_3d::Scan3d;
+use crate::settings::maps::{
+    LEAST_MAP_ERROR, MOST_CHANCE_FRACTION, MOST_MAP_ERROR, OWN_SCANS, USUAL_CHANCE_FRACTION, USUAL_MAP_ERROR,
+};
+use crate::settings::matching::NARROWEST_WINDOW;
+use crate::settings::search::AROUND_PROPOSAL_3D;
 
-/// So many nodes are asked, evenly from all of them.
-const ASKED: usize = 48;
 /// Misplaced ones are turned by the golden angle against each other, radians.
 const GOLDEN_ANGLE: f64 = 2.399_963;
-/// The share that is explained by chance is taken for no more than this, and for this if no node has points.
-const MOST_BY_CHANCE: f32 = 0.9;
-const USUAL_CHANCE: f32 = 0.6;
-/// No map is known better than this, metres: about what the noise of ranges leaves.
-const LEAST: f64 = 0.005;
-/// And no turn in it, radians: two centimetres at ten metres. What a wrong motion during a sweep does to all of it at once turns
-/// its points alike, and neither their scatter nor that of other scans shows it.
-const LEAST_TURN: f64 = 0.002;
-/// None is told to be worse.
-const MOST: f64 = 1.0;
 /// From one standard deviation that is tried to the next.
 const FINENESS: f64 = 1.05;
 /// Half of the squares of three standard normal numbers add up to less.
@@ -43,18 +36,18 @@ fn scan_of(node: &Node) -> (Scan3d, Rigid3) {
 pub(crate) fn explained_by_chance(map: &KnownMap3d, state: &GraphState<Space3d>) -> f32 {
     let nodes: Vec<_> = state.nodes.values().collect();
     let misplaced = |k: usize| {
-        let (here, there) = (k * nodes.len() / ASKED, (k * 7 + 1) * nodes.len() / ASKED / 2);
+        let (here, there) = (k * nodes.len() / OWN_SCANS, (k * 7 + 1) * nodes.len() / OWN_SCANS / 2);
         let (node, other) = (nodes.get(here)?, nodes.get(there % nodes.len())?);
         let (scan, level) = scan_of(node);
         let turn = rotation_from_roll_pitch_yaw(0.0, 0.0, 1.0 + GOLDEN_ANGLE * k as f64);
         let mut guess = KnownMap3d::local_from_scan(&other.map_from_tracking);
         guess.rotation = turn * level.rotation;
-        let pose = map.register(&scan.points, &guess, AROUND_PROPOSAL);
+        let pose = map.register(&scan.points, &guess, AROUND_PROPOSAL_3D);
         (!scan.judged.is_empty()).then(|| map.agreement_of(&scan.judged, &pose).explained)
     };
-    let mut shares: Vec<f32> = (0..ASKED).into_par_iter().filter_map(misplaced).collect();
+    let mut shares: Vec<f32> = (0..OWN_SCANS).into_par_iter().filter_map(misplaced).collect();
     shares.sort_by(f32::total_cmp);
-    shares.get(shares.len() / 2).map_or(USUAL_CHANCE, |share| share.min(MOST_BY_CHANCE))
+    shares.get(shares.len() / 2).map_or(USUAL_CHANCE_FRACTION, |share| share.min(MOST_CHANCE_FRACTION))
 }
 
 /// What the map is off by where every other of its scans is looked for in planes that only the rest made: so much variance,
@@ -62,16 +55,16 @@ pub(crate) fn explained_by_chance(map: &KnownMap3d, state: &GraphState<Space3d>)
 /// they say of themselves (as Paule and Mandel 1982 take the variance between laboratories, with the median for the mean).
 pub(crate) fn error_of_own_scans(map: &KnownMap3d, state: &GraphState<Space3d>) -> MapError {
     let nodes: Vec<_> = state.nodes.values().skip(1).step_by(2).collect();
-    let asked = ASKED.min(nodes.len());
+    let asked = OWN_SCANS.min(nodes.len());
     let found = |k: usize| {
         let (scan, level) = scan_of(nodes.get(k * nodes.len() / asked)?);
-        let found = map.find(&scan, &level, ON_THE_WAY);
+        let found = map.find(&scan, &level, NARROWEST_WINDOW);
         let covariance = (found.information + Matrix6::identity() * NOTHING).try_inverse()?;
         (!scan.judged.is_empty()).then(|| (offset(&level, &found.pose), covariance))
     };
     let found: Vec<(Vector6, Matrix6)> = (0..asked).into_par_iter().filter_map(found).collect();
     if found.is_empty() {
-        return MapError::USUAL;
+        return USUAL_MAP_ERROR;
     }
     let of_block = |first: usize, least: f64| {
         let block = |(offset, covariance): &(Vector6, Matrix6)| {
@@ -82,7 +75,7 @@ pub(crate) fn error_of_own_scans(map: &KnownMap3d, state: &GraphState<Space3d>) 
         };
         unexplained(&found.iter().map(block).collect::<Vec<_>>(), least)
     };
-    MapError { metres: of_block(0, LEAST), radians: of_block(3, LEAST_TURN) }
+    MapError { metres: of_block(0, LEAST_MAP_ERROR.metres), radians: of_block(3, LEAST_MAP_ERROR.radians) }
 }
 
 /// The standard deviation along each axis, no less than the least, with which half of the offsets lie within the bound of half
@@ -96,8 +89,8 @@ fn unexplained(offsets: &[(Vector3, Matrix3<f64>)], least: f64) -> f64 {
         };
         2 * offsets.iter().filter(is_within).count() >= offsets.len()
     };
-    let steps = (0..).map(|i| least * FINENESS.powi(i)).take_while(|sigma| *sigma < MOST);
-    steps.into_iter().find(|sigma| half_is_within(*sigma)).unwrap_or(MOST)
+    let steps = (0..).map(|i| least * FINENESS.powi(i)).take_while(|sigma| *sigma < MOST_MAP_ERROR);
+    steps.into_iter().find(|sigma| half_is_within(*sigma)).unwrap_or(MOST_MAP_ERROR)
 }
 
 #[cfg(test)]

@@ -2,20 +2,9 @@
 
 use portolan_geometry::{Rigid3, Time, Vector3};
 
-/// Speeds are those over at least so many seconds: stamps come in bursts.
-const SPAN: f64 = 1.0;
-/// Nothing that has moved for so many such spans moves so many times as fast all at once, by so many metres at least: it was
-/// carried while nothing was recorded, or its odometry was reset.
-const SPANS: u32 = 5;
-const TIMES_AS_FAST: f64 = 3.0;
-const SHORTEST_JUMP: f64 = 2.0;
-/// What moves by itself changes its velocity by what friction holds at most, metres per second squared: beyond that it does not
-/// leave the way on which it was by so many metres. Stamps are off by so many seconds.
-const FRICTION: f64 = 9.81;
-const FARTHEST_OFF: f64 = 1.0;
-const STAMPS: f64 = 0.3;
-/// In the second after a jump local SLAM may still be catching up: from so many metres on that is one more.
-const CATCHING_UP: f64 = 0.3;
+use crate::settings::tracking::{
+    CATCHING_UP, FARTHEST_OFF, FRICTION, MOVING_SPANS, SHORTEST_JUMP, SPEED_SPAN, STAMP_ERROR, TIMES_AS_FAST,
+};
 
 /// How the scanner has been moving.
 #[derive(Clone, Copy, Debug, Default)]
@@ -42,7 +31,7 @@ impl Pace {
         }
         let since = self.since.get_or_insert(here);
         let (way, seconds) = motion(since, &here);
-        if seconds >= SPAN {
+        if seconds >= SPEED_SPAN {
             *since = here;
             self.fastest = self.fastest.max(way.norm() / seconds);
             self.velocity = Some(way / seconds);
@@ -54,14 +43,14 @@ impl Pace {
     /// Whether a step is longer than the scanner can have gone.
     fn is_farther(&self, last: &(Time, Rigid3), here: &(Time, Rigid3)) -> bool {
         let (step, seconds) = motion(last, here);
-        let farthest = TIMES_AS_FAST * self.fastest * seconds.max(SPAN);
-        if self.spans >= SPANS && step.norm() > farthest.max(SHORTEST_JUMP) {
+        let farthest = TIMES_AS_FAST * self.fastest * seconds.max(SPEED_SPAN);
+        if self.spans >= MOVING_SPANS && step.norm() > farthest.max(SHORTEST_JUMP) {
             return true;
         }
         let Some(velocity) = self.velocity else { return false };
-        let catches_up = self.jumped.is_some_and(|jumped| here.0.seconds_since(jumped) < SPAN);
+        let catches_up = self.jumped.is_some_and(|jumped| here.0.seconds_since(jumped) < SPEED_SPAN);
         let off = if catches_up { CATCHING_UP } else { FARTHEST_OFF };
-        let farthest_off = (0.5 * FRICTION * seconds * seconds).max(STAMPS * self.fastest).max(off);
+        let farthest_off = (0.5 * FRICTION * seconds * seconds).max(STAMP_ERROR * self.fastest).max(off);
         (step - velocity * seconds).norm() > farthest_off
     }
 }

@@ -8,11 +8,7 @@ use portolan_grids::BeamEnd;
 use crate::hypothesis::Hypothesis;
 use crate::known_map::KnownMap;
 use crate::recent::RecentScans;
-
-/// Neighbouring beams and scans after each other see the same things: what ends in one cell of this edge, metres, counts once.
-const CELL: f32 = 1.0;
-/// More than this share of the points in a cell speak for one of two places, or lie where the map knows nothing.
-const MOST: f32 = 0.5;
+use crate::settings::scans::{PAIRED_CELL, PAIRED_MAJORITY};
 
 /// Cells of the recent scans that the map explains at one of two places alone, and contradicts at the other.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -34,7 +30,7 @@ impl Discordant {
             let ends = map.beam_ends(&kept.scan, first).zip(map.beam_ends(&kept.scan, second));
             for ((point, at_first), (_, at_second)) in ends {
                 let point = local_from_scan * point;
-                let cell = [point.x, point.y, point.z].map(|v| (v / CELL).floor() as i32);
+                let cell = [point.x, point.y, point.z].map(|v| (v / PAIRED_CELL).floor() as i32);
                 cells.entry(cell).or_default().add(at_first, at_second);
             }
         }
@@ -82,7 +78,7 @@ impl Cell {
     }
 
     fn is_most(&self, points: u32) -> bool {
-        points as f32 > MOST * self.points as f32
+        points as f32 > PAIRED_MAJORITY * self.points as f32
     }
 }
 

@@ -5,10 +5,7 @@ use std::collections::BTreeSet;
 use portolan_geometry::{Point3f, Rigid3, Time, Vector2, Vector3, project_2d};
 use portolan_grids::{CellIndex, MapLimits};
 
-use crate::known_cells::CLEARANCE;
-
-/// Beams count to this range, metres: headings of maps and matches err by 0.008 rad, a third of the clearance there.
-const RANGE: f64 = 10.0;
+use crate::settings::changes::{CHANGE_RANGE_2D, CLEARANCE};
 
 /// A scan whose place is known.
 pub struct PlacedScan<'a> {
@@ -25,7 +22,7 @@ pub struct PlacedScan<'a> {
 impl PlacedScan<'_> {
     /// The cells in which beams end, some of them often.
     pub(crate) fn ends<'b>(&'b self, limits: &'b MapLimits) -> impl Iterator<Item = usize> + use<'b> {
-        let near = self.beams().filter(|(_, length)| *length <= RANGE);
+        let near = self.beams().filter(|(_, length)| *length <= CHANGE_RANGE_2D);
         near.filter_map(|(beam, _)| cell_at(limits, &(self.origin.xy() + beam)))
     }
 
@@ -40,7 +37,7 @@ impl PlacedScan<'_> {
         // Columns run against y, rows against x; both in cells from the corner of the first cell.
         let [first_x, first_y] = [max.y - self.origin.y, max.x - self.origin.x].map(|v| v / edge);
         self.beams().flat_map(move |(beam, length)| {
-            let steps = ((length - CLEARANCE).min(RANGE) / step).max(0.0) as u32;
+            let steps = ((length - CLEARANCE).min(CHANGE_RANGE_2D) / step).max(0.0) as u32;
             let [x, y] = [-beam.y, -beam.x].map(|v| v * step / (edge * length));
             let at = move |i| (first_x + f64::from(i) * x, first_y + f64::from(i) * y);
             (1..steps).map(at).filter_map(move |(x, y)| {

@@ -4,10 +4,7 @@ use std::collections::VecDeque;
 
 use portolan_geometry::{Rigid3, Time};
 
-/// Scans are kept after this way, metres, or this turn, radians, so many of them.
-const KEY_WAY: f64 = 0.4;
-const KEY_TURN: f64 = 0.35;
-pub(crate) const KEPT: usize = 12;
+use crate::settings::scans::{KEPT_SCAN_METRES, KEPT_SCANS, NEW_VIEW_RADIANS};
 
 /// A scan that is kept for judging places.
 #[derive(Clone, Debug)]
@@ -41,7 +38,7 @@ pub(crate) enum Offered {
 /// Whether the scanner hardly moved between two poses.
 pub(crate) fn is_alike(a: &Rigid3, b: &Rigid3) -> bool {
     let motion = a.inverse() * b;
-    motion.translation.vector.norm() < KEY_WAY && motion.rotation.angle() < KEY_TURN
+    motion.translation.vector.norm() < KEPT_SCAN_METRES && motion.rotation.angle() < NEW_VIEW_RADIANS
 }
 
 impl<S> RecentScans<S> {
@@ -52,7 +49,7 @@ impl<S> RecentScans<S> {
             return Offered::LeftOut;
         }
         self.scans.push_back(scan);
-        let oldest_left = self.scans.len() > KEPT;
+        let oldest_left = self.scans.len() > KEPT_SCANS;
         if oldest_left {
             self.scans.pop_front();
         }

@@ -11,36 +11,16 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use portolan_geometry::{Rigid3, Rigid3f, Vector2, project_2d};
 use portolan_mapping::{
-    CellFate, PoseGraph, Replacement, Space, Space2d, SubmapEntry, SubmapId, TrajectoryId, of_trajectory,
+    CellFate, PoseGraph, Space, Space2d, SubmapEntry, SubmapId, TrajectoryId, of_trajectory,
 };
 
 use crate::changes::{ChangeCounter, ChangeGrid, ChangeKind, ChangedCells};
 use crate::known_map_2d::KnownMap2d;
 use crate::placed_scan::PlacedScan;
 use crate::recent::is_alike;
-
-/// A submap that shows less than this of what the map does not know is not worth its size, square metres.
-const LEAST_NEW_AREA: f64 = 4.0;
-/// What only a submap that is removed knows, at most, square metres.
-const MOST_ALONE: f64 = 0.1;
-/// Two submaps show each place, as local SLAM draws them.
-const REPLACEMENT: Replacement = Replacement {
-    newest: 2,
-    least_seen: 2.0,
-    most_alone: MOST_ALONE,
-    least_share: 0.0,
-    most_share_alone: 0.0,
+use crate::settings::changes::{
+    AREA_CELL, AROUND_CHANGED, BESIDE_GONE, LEAST_NEW_AREA, MOST_ALONE, REPLACED_FRACTION, REPLACEMENT_2D,
 };
-/// Edge of the cells in which areas are counted, metres.
-const CELL: f64 = 0.1;
-
-/// A submap replaces an older one of which it knows at least this fraction, if other submaps know the rest.
-const REPLACED: f64 = 0.5;
-/// What has changed is drawn into older submaps with what they do not know so far around, metres: what stood somewhere hid
-/// what is inside of it.
-const AROUND: f64 = 0.5;
-/// Points of older scans lie beside cells that are gone, metres.
-const BESIDE: f64 = 0.1;
 
 /// What a recording changed in a map.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -68,7 +48,7 @@ impl Renewal {
 type Cell = (i64, i64);
 
 fn cell_at(point: &Vector2) -> Cell {
-    let index = |v: f64| (v / CELL).floor() as i64;
+    let index = |v: f64| (v / AREA_CELL).floor() as i64;
     (index(point.x), index(point.y))
 }
 
@@ -86,14 +66,14 @@ pub(crate) fn renew(graph: &mut PoseGraph<Space2d>, new: TrajectoryId, before: &
     let changes = changed_cells(graph, new, before);
     let all = shown(graph, new, before, &changes);
     let unknown = all.iter().map(|(id, shown)| (*id, &shown.unknown)).collect();
-    let mut kept = discovering(&unknown, (LEAST_NEW_AREA / (CELL * CELL)).ceil() as usize);
+    let mut kept = discovering(&unknown, (LEAST_NEW_AREA / (AREA_CELL * AREA_CELL)).ceil() as usize);
     let discovered: BTreeSet<Cell> =
         kept.iter().filter_map(|id| all.get(id)).flat_map(|shown| shown.unknown.iter().copied()).collect();
     let mut removed = replace(graph, new, &all, &changes, &mut kept);
     draw_changes(graph, new, before, &changes);
     let superfluous = all.keys().filter(|id| !kept.contains(id)).copied();
     graph.remove_submaps(&superfluous.chain(removed.iter().copied()).collect());
-    let hidden = graph.covered_by(new, REPLACEMENT);
+    let hidden = graph.covered_by(new, REPLACEMENT_2D);
     graph.remove_submaps(&hidden);
     removed.extend(hidden);
     Renewal {
@@ -101,7 +81,7 @@ pub(crate) fn renew(graph: &mut PoseGraph<Space2d>, new: TrajectoryId, before: &
         removed_submaps: removed.len(),
         appeared: changes.area(ChangeKind::Appeared),
         gone: changes.area(ChangeKind::Gone),
-        discovered: discovered.len() as f64 * CELL * CELL,
+        discovered: discovered.len() as f64 * AREA_CELL * AREA_CELL,
     }
 }
 
@@ -115,13 +95,13 @@ fn draw_changes(
     if changes.is_empty() {
         return;
     }
-    let around = changes.around(AROUND, |_| true);
+    let around = changes.around(AROUND_CHANGED, |_| true);
     graph.patch(new, &|point| match changes.at(point) {
         Some(_) => CellFate::Replaced,
         None if around.contains(point) && !before.knows(point) => CellFate::Filled,
         None => CellFate::Stays,
     });
-    let beside_gone = changes.around(BESIDE, |kind| kind == ChangeKind::Gone);
+    let beside_gone = changes.around(BESIDE_GONE, |kind| kind == ChangeKind::Gone);
     graph.forget_points(new, &|point| beside_gone.contains(point));
 }
 
@@ -223,7 +203,7 @@ fn replace(
         if is_added {
             known.take(id, &of_new);
         }
-        let is_covered = |old: &SubmapId| known.fraction_known_by(*old, id, &of_new) >= REPLACED;
+        let is_covered = |old: &SubmapId| known.fraction_known_by(*old, id, &of_new) >= REPLACED_FRACTION;
         let covered: Vec<SubmapId> = outdated.iter().copied().filter(is_covered).collect();
         let gone: Vec<SubmapId> =
             covered.into_iter().filter(|old| known.remove_unless_alone(*old, MOST_ALONE)).collect();

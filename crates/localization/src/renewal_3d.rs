@@ -9,29 +9,18 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use portolan_geometry::{Point3f, to_f32};
 use portolan_grids::SOLID_VOXEL;
-use portolan_mapping::{
-    PoseGraph, Replacement, Space3d, SubmapEntry, SubmapId, TrajectoryId, VoxelFate, of_trajectory,
-};
+use portolan_mapping::{PoseGraph, Space3d, SubmapEntry, SubmapId, TrajectoryId, VoxelFate, of_trajectory};
 
 use crate::changes::{ChangeCounter, ChangeKind};
 use crate::known_map_3d::KnownMap3d;
 use crate::renewal::{Renewal, discovering};
+use crate::settings::changes::{LEAST_NEW_CELLS, NEW_CELL, REPLACEMENT_3D};
 use crate::voxel_changes::{ChangedVoxels, KeptSweep, VoxelChanges};
-
-/// Edge of the cells in which is counted what the map does not know, metres: no surface is in a cell, or beside one, by
-/// chance.
-const CELL: f32 = 0.5;
-/// A submap that shows fewer of them is not worth its size: 10 m² of surfaces.
-const LEAST_NEW_CELLS: usize = 40;
-/// Two submaps show each place, as local SLAM draws them. Surfaces are never met in quite the same cells again, so that
-/// shares of a submap count as well.
-const REPLACEMENT: Replacement =
-    Replacement { newest: 2, least_seen: 2.0, most_alone: 0.1, least_share: 0.1, most_share_alone: 0.005 };
 
 type Cell = [i32; 3];
 
 fn cell_at(point: &Point3f) -> Cell {
-    [point.x, point.y, point.z].map(|v| (v / CELL).floor() as i32)
+    [point.x, point.y, point.z].map(|v| (v / NEW_CELL).floor() as i32)
 }
 
 fn around([x, y, z]: Cell) -> impl Iterator<Item = Cell> {
@@ -53,14 +42,14 @@ pub(crate) fn renew(
     draw_changes(graph, new, &changes);
     let superfluous = all.keys().filter(|id| !kept.contains(id)).copied().collect();
     graph.remove_submaps(&superfluous);
-    let removed = graph.covered_by(new, REPLACEMENT);
+    let removed = graph.covered_by(new, REPLACEMENT_3D);
     graph.remove_submaps(&removed);
     Renewal {
         added_submaps: kept.len(),
         removed_submaps: removed.len(),
         appeared: changes.area(ChangeKind::Appeared),
         gone: changes.area(ChangeKind::Gone),
-        discovered: discovered.len() as f64 * f64::from(CELL * CELL),
+        discovered: discovered.len() as f64 * f64::from(NEW_CELL * NEW_CELL),
     }
 }
 

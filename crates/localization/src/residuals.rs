@@ -7,15 +7,8 @@ use portolan_geometry::{Point3f, Rigid3, Vector3, to_f32};
 use portolan_lidar_odometry::{Plane, PlaneMap};
 
 use crate::belief::{Matrix6, Vector6};
-use crate::information::{NORMAL_VARIANCE, along_surface, outer, positive};
-
-/// Noise of a range, metres: no point is weighed more.
-const RANGE_NOISE: f32 = 0.02;
-/// Points farther off than about this count little, and beyond three times as much nothing, metres: as in registration.
-const ROBUST_SCALE: f32 = 0.1;
-const FARTHEST: f32 = 3.0 * ROBUST_SCALE;
-/// Points in one cube of this edge, metres, err together.
-const PATCH: f32 = 1.0;
+use crate::information::{along_surface, outer, positive};
+use crate::settings::matching::{ERROR_PATCH, NORMAL_VARIANCE, RANGE_NOISE, ROBUST_REACH, ROBUST_SCALE};
 
 /// What points that err together say.
 #[derive(Clone, Copy, Debug)]
@@ -60,7 +53,7 @@ impl Residuals {
     fn add(&mut self, place: &Point3f, lever: &na::Vector3<f32>, plane: &Plane) {
         let off = place.coords - plane.point;
         let residual = plane.normal.dot(&off);
-        if residual.abs() > FARTHEST {
+        if residual.abs() > ROBUST_REACH {
             return;
         }
         let robust = 1.0 / (1.0 + (residual / ROBUST_SCALE).powi(2));
@@ -68,7 +61,7 @@ impl Residuals {
         let weight = f64::from(robust * robust / variance);
         let (lever, normal): (Vector3, Vector3) = (lever.cast(), plane.normal.cast());
         let (row, along_normal) = outer(&lever, &normal);
-        let patch = [place.x, place.y, place.z].map(|v| (v / PATCH).floor() as i32);
+        let patch = [place.x, place.y, place.z].map(|v| (v / ERROR_PATCH).floor() as i32);
         let sum = self.patches.entry(patch).or_default();
         sum.score += weight * f64::from(residual) * row;
         sum.curvature += weight * along_normal;

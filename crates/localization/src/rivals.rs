@@ -4,14 +4,8 @@ use portolan_geometry::Rigid3;
 
 use crate::hypothesis::Hypothesis;
 use crate::known_map::KnownMap;
-use crate::search::{REFUTED_BY, Searcher};
-
-/// A place that was left for another one nearby is given up once that fits better by so much over so many scans.
-const SCANS: usize = 3;
-const LEAD: f64 = 0.2;
-/// Another place is better if it fits so well, and so much better.
-pub(crate) const BETTER_FIT: f64 = 0.45;
-pub(crate) const BETTER_BY: f64 = 0.12;
+use crate::search::Searcher;
+use crate::settings::search::{BETTER_BY, BETTER_FIT, REFUTED_BY, RIVAL_LEAD, RIVAL_SCANS};
 
 /// A place where the scanner may be instead of where it is believed to be.
 #[derive(Clone, Debug)]
@@ -30,7 +24,9 @@ impl Rival {
     fn is_refuted(&self, believed: &Hypothesis) -> bool {
         match self.since {
             Some(scans) => {
-                scans >= SCANS && believed.fit_of_newest(scans) >= BETTER_FIT && self.behind(believed) >= LEAD
+                scans >= RIVAL_SCANS
+                    && believed.fit_of_newest(scans) >= BETTER_FIT
+                    && self.behind(believed) >= RIVAL_LEAD
             }
             None => self.behind(believed) >= REFUTED_BY,
         }
@@ -42,7 +38,7 @@ impl Rival {
 
     fn is_better(&self, believed: &Hypothesis) -> bool {
         let scans = self.since.unwrap_or(usize::MAX);
-        scans >= SCANS
+        scans >= RIVAL_SCANS
             && self.place.fit() > BETTER_FIT
             && self.place.lead_of_newest(believed, scans) > BETTER_BY
     }

@@ -5,13 +5,8 @@ use portolan_matching::{joint_cloud_2d, surface_tangents};
 use portolan_sensor::{PointCloud, voxel_filter_indices};
 
 use crate::recent::RecentScans;
-
-/// Points of a scan are thinned to voxels of this edge, metres, and to this number.
-const VOXEL: f32 = 0.1;
-const MOST_POINTS: usize = 180;
-/// The cloud of all kept scans: cells, metres, and points.
-const JOINT_CELL: f64 = 0.2;
-const MOST_JOINT_POINTS: usize = 320;
+use crate::settings::maps::COARSE_CELL;
+use crate::settings::scans::{MOST_JOINT_POINTS_2D, MOST_POINTS_2D, VOXEL_2D};
 
 /// A scan in its own level frame.
 #[derive(Clone, Debug)]
@@ -28,8 +23,8 @@ impl Scan2d {
     /// Of all returns in the order in which they were measured, in the level frame of the scanner.
     pub fn new(returns: &PointCloud) -> Self {
         let tangents = surface_tangents(returns);
-        let kept = voxel_filter_indices(&returns.points, |p| *p, VOXEL);
-        let stride = kept.len().div_ceil(MOST_POINTS).max(1);
+        let kept = voxel_filter_indices(&returns.points, |p| *p, VOXEL_2D);
+        let stride = kept.len().div_ceil(MOST_POINTS_2D).max(1);
         let all = |i: usize| Some((returns.points.get(i)?, tangents.get(i).copied()?));
         let kept = kept.into_iter().step_by(stride).filter_map(|i| all(i as usize));
         let (flat, tangents) = kept.map(|(p, tangent)| (Point3f::new(p.x, p.y, 0.0), tangent)).unzip();
@@ -57,8 +52,8 @@ impl JointScan2d {
     pub fn of(recent: &RecentScans<Scan2d>) -> Self {
         let scans = recent.seen_from_newest();
         let clouds = scans.map(|(newest_from_scan, scan)| (project_2d(&newest_from_scan), &scan.cloud));
-        let cells = joint_cloud_2d(clouds, JOINT_CELL);
-        let stride = cells.points.len().div_ceil(MOST_JOINT_POINTS).max(1);
+        let cells = joint_cloud_2d(clouds, COARSE_CELL);
+        let stride = cells.points.len().div_ceil(MOST_JOINT_POINTS_2D).max(1);
         let cloud = PointCloud::new(cells.points.into_iter().step_by(stride).collect());
         let points = cloud.points.iter().map(plane).collect();
         Self { cloud, points }

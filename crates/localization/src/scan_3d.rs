@@ -7,19 +7,10 @@ use portolan_mapping::columns_of_scans;
 use portolan_sensor::{PointCloud, voxel_filter_points};
 
 use crate::recent::RecentScans;
-
-/// Points are thinned to voxels of this edge, metres, and for registration to this number.
-const VOXEL: f32 = 0.25;
-const MOST_POINTS: usize = 600;
-/// Points that judge places lie in this range, metres, and are chosen evenly over slices of this height, metres: floors
-/// fit anywhere.
-const JUDGED_RANGE: f32 = 18.0;
-const SLICE: f32 = 0.3;
-const MOST_JUDGED: usize = 220;
-/// The cloud of all kept scans: reach, metres, and points for registration.
-const REACH: f32 = 30.0;
-const MOST_JOINT_POINTS: usize = 900;
-const MOST_THINNED: usize = 8000;
+use crate::settings::scans::{
+    JOINT_RANGE_3D, JUDGED_RANGE, JUDGED_SLICE, MOST_JOINT_POINTS_3D, MOST_JUDGED_POINTS, MOST_POINTS_3D,
+    MOST_THINNED_JOINT_POINTS, VOXEL_3D,
+};
 
 /// A scan in its own level frame.
 #[derive(Clone, Debug)]
@@ -35,9 +26,9 @@ pub struct Scan3d {
 impl Scan3d {
     /// Of all returns, in the level frame of the scanner.
     pub fn new(returns: &PointCloud) -> Self {
-        let thinned = voxel_filter_points(&returns.points, VOXEL);
+        let thinned = voxel_filter_points(&returns.points, VOXEL_3D);
         let near: Vec<Point3f> = thinned.iter().filter(|p| p.coords.norm() < JUDGED_RANGE).copied().collect();
-        Self { points: evenly(&thinned, MOST_POINTS), judged: over_heights(&near), thinned }
+        Self { points: evenly(&thinned, MOST_POINTS_3D), judged: over_heights(&near), thinned }
     }
 }
 
@@ -50,11 +41,11 @@ fn evenly(points: &[Point3f], most: usize) -> Vec<Point3f> {
 fn over_heights(points: &[Point3f]) -> Vec<Point3f> {
     let mut slices: BTreeMap<i32, Vec<Point3f>> = BTreeMap::new();
     for point in points {
-        slices.entry((point.z / SLICE).floor() as i32).or_default().push(*point);
+        slices.entry((point.z / JUDGED_SLICE).floor() as i32).or_default().push(*point);
     }
     let mut by_size: Vec<&Vec<Point3f>> = slices.values().collect();
     by_size.sort_by_key(|slice| slice.len());
-    let (mut left, mut chosen) = (MOST_JUDGED, Vec::new());
+    let (mut left, mut chosen) = (MOST_JUDGED_POINTS, Vec::new());
     for (i, slice) in by_size.iter().enumerate() {
         let share = left / (by_size.len() - i);
         let count = slice.len().min(share);
@@ -81,11 +72,15 @@ impl JointScan3d {
         let mut points: Vec<Point3f> = Vec::new();
         for (newest_from_scan, scan) in recent.seen_from_newest() {
             let pose = to_f32(&newest_from_scan);
-            points.extend(scan.thinned.iter().map(|p| pose * p).filter(|p| p.coords.norm() < REACH));
+            points.extend(scan.thinned.iter().map(|p| pose * p).filter(|p| p.coords.norm() < JOINT_RANGE_3D));
         }
         let columns = columns_of_scans(points.iter().copied());
-        let thinned = voxel_filter_points(&points, VOXEL);
-        Self { points: evenly(&thinned, MOST_JOINT_POINTS), columns, thinned: evenly(&thinned, MOST_THINNED) }
+        let thinned = voxel_filter_points(&points, VOXEL_3D);
+        Self {
+            points: evenly(&thinned, MOST_JOINT_POINTS_3D),
+            columns,
+            thinned: evenly(&thinned, MOST_THINNED_JOINT_POINTS),
+        }
     }
 }
 
@@ -102,6 +97,6 @@ mod tests {
         let points: Vec<Point3f> = floor.chain(wall).collect();
         let scan = Scan3d::new(&PointCloud::new(points));
         let of_wall = scan.judged.iter().filter(|p| p.z > -0.95).count();
-        assert!(scan.judged.len() <= MOST_JUDGED && of_wall * 10 > scan.judged.len() * 7, "{of_wall}");
+        assert!(scan.judged.len() <= MOST_JUDGED_POINTS && of_wall * 10 > scan.judged.len() * 7, "{of_wall}");
     }
 }

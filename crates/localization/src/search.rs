@@ -6,33 +6,12 @@ use rayon::prelude::*;
 use crate::hypothesis::Hypothesis;
 use crate::known_map::{Area, KnownMap};
 use crate::recent::RecentScans;
+use crate::settings::matching::WINDOW_SIGMAS;
+use crate::settings::search::{
+    BELIEVED_FIT, BELIEVED_SIGMAS, CONFIRMING_SEARCHES, FIRST_PAUSE, GIVEN_START_FIT, METRES_PER_RADIAN,
+    MOST_PLACES, MOVED_METRES, PAUSE_FACTOR, REFUTED_BY, STANDING_FIT, STANDING_PAUSE, TENTATIVE_FIT,
+};
 use crate::state::Reason;
-
-/// Places that are kept, and by how much they may fit worse than the best.
-const MOST_PLACES: usize = 32;
-pub(crate) const REFUTED_BY: f64 = 0.3;
-/// A place is believed if it fits so well, and what was seen speaks for it against each other place by so many standard
-/// deviations: with a margin to the most that wrong places reach which fit so, in parts of the building that the map does not know
-/// and in maps of another building (docs/experiments/2026-11-believing-places.md).
-pub(crate) const FIT: f64 = 0.4;
-const EVIDENCE: f64 = 2.5;
-/// It has to fit better by so much for a scanner that stands, because one view says little; after this way, metres, where a
-/// radian of turning counts as so many metres, no more.
-const STANDING: f64 = 0.2;
-const MOVED: f64 = 1.5;
-const METRES_PER_RADIAN: f64 = 0.5;
-/// And after so many searches that proposed nothing better.
-const SEARCHES: u32 = 2;
-/// The map is searched again when something new was seen after this pause, seconds, which grows by this factor with each
-/// search up to what searches of the map cost.
-const FIRST_PAUSE: f64 = 0.5;
-const LONGER: f64 = 1.25;
-/// A scanner that stands is taken to have been looked for once more after so many seconds in which scans went on fitting.
-const STANDING_PAUSE: f64 = 3.0;
-/// A place is told as tentative from this fit on.
-const TENTATIVE: f64 = 0.35;
-/// By so much a place is preferred that lies where the start was told to be.
-const TOLD: f64 = 0.2;
 
 /// Where somebody says that the recording starts, or a satellite fix that it goes on.
 #[derive(Clone, Copy, Debug)]
@@ -65,7 +44,7 @@ impl GivenStart {
     pub fn area(&self, local_from_scan: &Rigid3) -> Area {
         let way = self.local_from_scan.translation.vector - local_from_scan.translation.vector;
         let centre = self.map_from_scan.translation.vector.xy();
-        Area { centre, metres: 3.0 * self.sigmas.0 + way.norm() }
+        Area { centre, metres: WINDOW_SIGMAS * self.sigmas.0 + way.norm() }
     }
 
     /// How well the start agrees with a place, 0 to 1.
@@ -77,7 +56,7 @@ impl GivenStart {
         let metres = (start.translation - told.translation).norm() / self.sigmas.0;
         let radians = normalize_angle(start.angle - told.angle).abs() / self.sigmas.1;
         // Three standard deviations are as good as one: people round.
-        let beyond = (metres.hypot(radians) - 3.0).max(0.0);
+        let beyond = (metres.hypot(radians) - WINDOW_SIGMAS).max(0.0);
         (-0.5 * beyond * beyond).exp()
     }
 }
@@ -164,7 +143,7 @@ impl<M: KnownMap> Searcher<M> {
 impl Places {
     /// All that fits anywhere, after as many searches as it takes.
     pub fn of_complete_search(all: Vec<Hypothesis>) -> Self {
-        Self { all, searches: SEARCHES, ..Self::default() }
+        Self { all, searches: CONFIRMING_SEARCHES, ..Self::default() }
     }
 
     /// Whether it is time to search the whole map once more, where searches are at most so many seconds apart.
@@ -172,7 +151,7 @@ impl Places {
         self.is_new |= is_new;
         let Some(last) = self.last_search else { return Due::Search };
         let (waited, pause) =
-            (time.seconds_since(last), FIRST_PAUSE * LONGER.powi(self.searches.min(20) as i32));
+            (time.seconds_since(last), FIRST_PAUSE * PAUSE_FACTOR.powi(self.searches.min(20) as i32));
         match self.is_new {
             true if waited >= pause.min(longest_pause) => Due::Search,
             false if waited >= STANDING_PAUSE => Due::Repetition,
@@ -212,18 +191,18 @@ impl Places {
             self.all.iter().enumerate().map(|(i, place)| (i, place, place.fit() + judge.bonus(place)));
         let best = rated.max_by(|(i, _, a), (j, _, b)| a.total_cmp(b).then(j.cmp(i)));
         let Some((best, place, _)) = best else { return Decision::Nothing };
-        if place.fit() < TENTATIVE {
+        if place.fit() < TENTATIVE_FIT {
             return Decision::Nothing;
         }
         if was_searched {
             let mut others = self.all.iter().filter(|other| !other.is_same_place(place));
             let (way, turn) = judge.motion;
-            let moved = ((way + METRES_PER_RADIAN * turn) / MOVED).min(1.0);
-            let fits =
-                place.fit().min(place.fit_lately() + judge.bonus(place)) >= FIT + STANDING * (1.0 - moved);
+            let moved = ((way + METRES_PER_RADIAN * turn) / MOVED_METRES).min(1.0);
+            let fits = place.fit().min(place.fit_lately() + judge.bonus(place))
+                >= BELIEVED_FIT + STANDING_FIT * (1.0 - moved);
             self.doubt = if !others.all(|other| judge.speaks_for(place, other)) {
                 Some(Reason::SeveralPlacesFit)
-            } else if self.searches < SEARCHES || !fits {
+            } else if self.searches < CONFIRMING_SEARCHES || !fits {
                 Some(Reason::TooLittleSeen)
             } else {
                 None
@@ -248,13 +227,13 @@ pub(crate) struct Judge<'a> {
 
 impl Judge<'_> {
     fn bonus(&self, place: &Hypothesis) -> f64 {
-        TOLD * (self.told)(place)
+        GIVEN_START_FIT * (self.told)(place)
     }
 
     /// Whether one place is believed rather than another one. What somebody told is as good as what has to be seen.
     fn speaks_for(&self, place: &Hypothesis, other: &Hypothesis) -> bool {
         let told = (self.told)(place) - (self.told)(other);
-        (self.evidence)(place, other) + EVIDENCE * told >= EVIDENCE
+        (self.evidence)(place, other) + BELIEVED_SIGMAS * told >= BELIEVED_SIGMAS
     }
 }
 
@@ -288,13 +267,21 @@ mod tests {
     #[test]
     fn a_place_is_not_believed_while_what_was_seen_hardly_speaks_for_it() {
         let doubtful = Decision::Tentative(0, Reason::SeveralPlacesFit);
-        assert_eq!(decide(&[0.8; 12], &[0.7; 12], 0.0, EVIDENCE), Decision::Believed(0));
-        assert_eq!(decide(&[0.8; 12], &[0.7; 12], 0.0, 0.8 * EVIDENCE), doubtful);
-        assert_eq!(decide(&[0.8; 12], &[0.7; 12], 0.5, 0.8 * EVIDENCE), Decision::Believed(0), "and told");
+        assert_eq!(decide(&[0.8; 12], &[0.7; 12], 0.0, BELIEVED_SIGMAS), Decision::Believed(0));
+        assert_eq!(decide(&[0.8; 12], &[0.7; 12], 0.0, 0.8 * BELIEVED_SIGMAS), doubtful);
+        assert_eq!(
+            decide(&[0.8; 12], &[0.7; 12], 0.5, 0.8 * BELIEVED_SIGMAS),
+            Decision::Believed(0),
+            "and told"
+        );
         assert_eq!(decide(&[0.8; 12], &[0.2; 12], 0.0, 0.0), Decision::Believed(0), "the other is refuted");
         let mut left = [0.8; 12];
         left[9..].fill(0.3);
         let seen_little = Decision::Tentative(0, Reason::TooLittleSeen);
-        assert_eq!(decide(&left, &[0.2; 12], 0.0, EVIDENCE), seen_little, "the scanner leaves what is known");
+        assert_eq!(
+            decide(&left, &[0.2; 12], 0.0, BELIEVED_SIGMAS),
+            seen_little,
+            "the scanner leaves what is known"
+        );
     }
 }

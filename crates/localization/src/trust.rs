@@ -3,20 +3,11 @@
 
 use portolan_geometry::{Duration, Time};
 
+use crate::settings::evidence::{
+    DOUBTED_BEFORE_DOUBT, DOUBTED_BEFORE_LOSS, LEAST_TRUSTED_METRES, MOST_TRUSTED_CONTRADICTED,
+    MOST_TRUSTED_STEP,
+};
 use crate::state::{Estimate, Reason, State};
-
-/// What a recording that was localised for less way than this, metres, says of the map is not believed.
-const LEAST_WAY: f64 = 5.0;
-/// Where the place came to be in doubt, scans this long before are doubted, seconds: it takes about a second of
-/// contradictions to notice …
-const BEFORE_DOUBT: f64 = 2.0;
-/// … and up to two searches of the whole map until a place is given up, which are ten seconds apart.
-const BEFORE_LOSS: f64 = 20.0;
-/// A place that goes another way than local SLAM from one scan to the next by more than this, metres, was wrong before.
-const JUMP: f64 = 0.25;
-/// Scans of a place that contradict more than this share of what the map knows there, in the mean, are not believed: single
-/// ones may contradict 0.35 and still support a place.
-const MOST_CONTRADICTION: f64 = 0.25;
 
 /// Why a run of localised scans ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,7 +40,7 @@ fn is_jump(a: &Estimate, b: &Estimate) -> bool {
     let (Some(before), Some(here)) = (a.place, b.place) else { return true };
     let in_map = before.map_from_tracking.inverse() * here.map_from_tracking;
     let in_local = a.local_from_tracking.inverse() * b.local_from_tracking;
-    (in_map.translation.vector - in_local.translation.vector).norm() > JUMP
+    (in_map.translation.vector - in_local.translation.vector).norm() > MOST_TRUSTED_STEP
 }
 
 /// Why a run ended that these scans came after.
@@ -59,11 +50,11 @@ fn end_of(after: &[Estimate]) -> End {
     match (next.state, next.reason) {
         (State::Lost, Reason::AnotherPlaceFitsBetter) => End::Refuted,
         (State::Lost, Reason::OutsideTheMap | Reason::PlaceHidden) => End::Undisputed,
-        (State::Lost, _) => End::Doubted(BEFORE_LOSS),
+        (State::Lost, _) => End::Doubted(DOUBTED_BEFORE_LOSS),
         // It jumped.
-        _ if doubt.state == State::Localised => End::Doubted(BEFORE_LOSS),
+        _ if doubt.state == State::Localised => End::Doubted(DOUBTED_BEFORE_LOSS),
         _ if matches!(doubt.reason, Reason::OutsideTheMap | Reason::PlaceHidden) => End::Undisputed,
-        _ => End::Doubted(BEFORE_DOUBT),
+        _ => End::Doubted(DOUBTED_BEFORE_DOUBT),
     }
 }
 
@@ -82,7 +73,8 @@ fn trusted(run: &[Estimate], end: End) -> Option<(Time, Time)> {
     let positions = || places().map(|place| place.map_from_tracking.translation.vector);
     let way: f64 = positions().zip(positions().skip(1)).map(|(a, b)| (b - a).norm()).sum();
     let contradiction = places().map(|place| f64::from(place.agreement.contradiction())).sum::<f64>();
-    let is_trusted = way >= LEAST_WAY && contradiction <= MOST_CONTRADICTION * places().count() as f64;
+    let is_trusted =
+        way >= LEAST_TRUSTED_METRES && contradiction <= MOST_TRUSTED_CONTRADICTED * places().count() as f64;
     is_trusted.then_some((kept.first()?.time, kept.last()?.time))
 }
 

@@ -11,34 +11,22 @@ use portolan_mapping::{GraphState, Space3d};
 use portolan_sensor::voxel_filter_points;
 
 use crate::change_regions::regions;
-use crate::changes::{Change, ChangeCounter, ChangeKind, FRACTION, SCANS, VIEWPOINTS};
+use crate::changes::{Change, ChangeCounter, ChangeKind};
 use crate::finder::LocalScan;
 use crate::known_map::KnownMap;
 use crate::known_map_3d::KnownMap3d;
 use crate::near_cells::NearCells;
-use crate::occupancy::{CELL, Occupancy, around};
+use crate::occupancy::{Occupancy, around};
 use crate::placed_scan::PlacedScan;
+use crate::settings::changes::{
+    BEAM_STEP, CHANGE_RANGE_3D, CHANGING_FRACTION, CHANGING_SCANS, COUNTED_VOXEL, KEPT_BEAM,
+    KEPT_SWEEP_METRES, KEPT_VOXEL, LEAST_CHANGED_CELLS, LEAST_CHANGED_COLUMNS, STEEP_SINE, VIEWPOINTS,
+};
+use crate::settings::maps::{FREE_BEAM_CLEARANCE, OCCUPANCY_CELL};
+use crate::settings::scans::NEW_VIEW_RADIANS;
 
-/// Beams count to this range, metres: headings of maps and matches err by 0.008 rad, half a cell there.
-const RANGE: f32 = 12.0;
-/// Beams pass to so far in front of what they hit, metres.
-const IN_FRONT: f32 = 0.8;
 /// All cells that beams reach, and those beside, are near the scanner.
-const _: () = assert!((RANGE / CELL) as i32 + 1 + 2 <= NearCells::REACH);
-/// A beam goes through a surface if it meets it more steeply than this, as the sine of the angle; else it goes along it.
-const STEEP: f32 = 0.3;
-/// Steps along a beam, and voxels to which scans are thinned, metres.
-const STEP: f32 = 0.1;
-const THINNED: f32 = 0.1;
-/// Of beams that are kept no more than this counts, metres; and points are thinned to this.
-const FARTHEST: f32 = RANGE + IN_FRONT + 0.1;
-const THINNED_TO_KEEP: f32 = 0.15;
-/// Scans are kept so far apart, metres and radians.
-const APART: f64 = 0.6;
-const TURNED: f64 = 0.35;
-/// Smaller regions are left out, cells, in all and seen from above.
-const LEAST_CELLS: usize = 8;
-const LEAST_COLUMNS: usize = 3;
+const _: () = assert!((CHANGE_RANGE_3D / OCCUPANCY_CELL) as i32 + 1 + 2 <= NearCells::REACH);
 
 /// A scan that is kept until the recording ends, because nodes of 3D keep too few points to tell what has changed.
 #[derive(Clone, Debug)]
@@ -59,7 +47,7 @@ impl KeptSweep {
         let origin = tracking_from_local * scan.origin;
         let clipped = scan.returns.points.iter().map(|point| {
             let beam = tracking_from_local * point - origin;
-            origin + beam * (FARTHEST / beam.norm().max(FARTHEST))
+            origin + beam * (KEPT_BEAM / beam.norm().max(KEPT_BEAM))
         });
         let clipped: Vec<Point3f> =
             clipped.filter(|point| point.coords.iter().all(|v| v.is_finite())).collect();
@@ -67,14 +55,15 @@ impl KeptSweep {
             time: scan.time,
             map_from_tracking: *map_from_tracking,
             origin,
-            returns: voxel_filter_points(&clipped, THINNED_TO_KEEP),
+            returns: voxel_filter_points(&clipped, KEPT_VOXEL),
         }
     }
 
     /// Whether another one would show the same.
     pub(crate) fn is_like(&self, map_from_tracking: &Rigid3) -> bool {
         let way = self.map_from_tracking.translation.vector - map_from_tracking.translation.vector;
-        way.norm() < APART && self.map_from_tracking.rotation.angle_to(&map_from_tracking.rotation) < TURNED
+        way.norm() < KEPT_SWEEP_METRES
+            && self.map_from_tracking.rotation.angle_to(&map_from_tracking.rotation) < NEW_VIEW_RADIANS
     }
 
     /// As it is compared with the map.
@@ -112,7 +101,7 @@ impl KnownVoxels {
         planes: &Arc<PlaneMap>,
         state: &GraphState<Space3d>,
     ) -> Result<Self, GridError> {
-        let mut ends = HybridGrid::new(CELL)?;
+        let mut ends = HybridGrid::new(OCCUPANCY_CELL)?;
         for node in state.nodes.values() {
             let pose = to_f32(&node.map_from_tracking);
             for point in KnownMap3d::points_in_tracking(&node.data).points {
@@ -132,7 +121,7 @@ impl KnownVoxels {
 
     /// Whether a beam goes through the surface at a point, and not along it.
     fn is_steep(&self, point: &Point3f, direction: &nalgebra::Vector3<f32>) -> bool {
-        self.planes.plane_near(point).is_none_or(|plane| plane.normal.dot(direction).abs() > STEEP)
+        self.planes.plane_near(point).is_none_or(|plane| plane.normal.dot(direction).abs() > STEEP_SINE)
     }
 }
 
@@ -176,7 +165,7 @@ impl Voxel {
     fn has_changed(&self) -> bool {
         let all = f64::from(self.hits) + f64::from(self.passes);
         let scans = self.contradictions();
-        let is_clear = scans >= SCANS && f64::from(scans) >= FRACTION * all;
+        let is_clear = scans >= CHANGING_SCANS && f64::from(scans) >= CHANGING_FRACTION * all;
         is_clear && self.seen.is_some_and(|seen| seen.is_seen_from_two)
     }
 }
@@ -215,7 +204,7 @@ impl VoxelChanges {
                     }
                 }
                 let columns: BTreeSet<(i32, i32)> = region.iter().map(|[x, y, _]| (*x, *y)).collect();
-                if region.len() >= LEAST_CELLS && columns.len() >= LEAST_COLUMNS {
+                if region.len() >= LEAST_CHANGED_CELLS && columns.len() >= LEAST_CHANGED_COLUMNS {
                     found.push((kind, region));
                 }
             }
@@ -233,7 +222,7 @@ impl VoxelChanges {
         let (lowest, highest) = from_to(|[.., z]| *z);
         let columns = (right - left + 1).max(1) as usize;
         let flat = |[x, y, _]: &VoxelIndex| (y - bottom) as usize * columns + (x - left) as usize;
-        let edge = f64::from(CELL);
+        let edge = f64::from(OCCUPANCY_CELL);
         let low = self.map.occupancy.middle([left, bottom, lowest]).coords.map(|v| f64::from(v) - 0.5 * edge);
         let heights = Some([low.z, low.z + f64::from(highest - lowest + 1) * edge]);
         let corner = |[x, y]: &[i64; 2]| [low.x + *x as f64 * edge, low.y + *y as f64 * edge];
@@ -283,9 +272,9 @@ impl VoxelChanges {
         for point in points {
             let beam = point - origin;
             let length = beam.norm();
-            let direction = beam / length.max(STEP);
-            let steps = ((length - IN_FRONT).min(RANGE) / STEP).max(0.0) as u32;
-            for at in (2..steps).map(|i| origin + direction * (i as f32 * STEP)) {
+            let direction = beam / length.max(BEAM_STEP);
+            let steps = ((length - FREE_BEAM_CLEARANCE).min(CHANGE_RANGE_3D) / BEAM_STEP).max(0.0) as u32;
+            for at in (2..steps).map(|i| origin + direction * (i as f32 * BEAM_STEP)) {
                 let Some(cell) = map.occupancy.cell(&at).filter(|cell| !decided.contains(*cell)) else {
                     continue;
                 };
@@ -310,8 +299,8 @@ impl ChangeCounter for VoxelChanges {
         let (pose, origin) = (to_f32(&scan.map_from_local), Point3f::from(scan.origin.cast::<f32>()));
         let Some(place) = self.map.occupancy.cell(&origin) else { return };
         let points: Vec<Point3f> =
-            voxel_filter_points(scan.returns, THINNED).into_iter().map(|point| pose * point).collect();
-        let counted = points.iter().filter(|point| (*point - origin).norm() <= RANGE);
+            voxel_filter_points(scan.returns, COUNTED_VOXEL).into_iter().map(|point| pose * point).collect();
+        let counted = points.iter().filter(|point| (*point - origin).norm() <= CHANGE_RANGE_3D);
         let mut ends = NearCells::around(place);
         counted.filter_map(|point| self.map.occupancy.cell(point)).for_each(|cell| ends.insert(cell));
         let beside = self.count_ends(scan, &ends);
@@ -357,6 +346,6 @@ impl ChangedVoxels {
     pub fn area(&self, kind: ChangeKind) -> f64 {
         let cells = self.kinds.iter().filter(|(_, of_cell)| **of_cell == kind);
         let columns: BTreeSet<(i32, i32)> = cells.map(|([x, y, _], _)| (*x, *y)).collect();
-        columns.len() as f64 * f64::from(CELL * CELL)
+        columns.len() as f64 * f64::from(OCCUPANCY_CELL * OCCUPANCY_CELL)
     }
 }
