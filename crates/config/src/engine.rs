@@ -4,7 +4,7 @@ use std::fmt;
 
 use portolan_geometry::Dimension;
 
-use crate::options::{Options, PortolanOptions};
+use crate::options::Options;
 
 /// Range data are gathered to scans of about this long, seconds, where scans are matched to planes: one sweep of most
 /// lidars.
@@ -26,14 +26,6 @@ impl fmt::Display for Engine {
             Self::Planes => "planes",
             Self::Grids => "grids",
         })
-    }
-}
-
-impl PortolanOptions {
-    /// Whether biases of IMUs are estimated and satellite fixes weighed by what they are worth. Cartographer believes both; settings
-    /// that go beyond it doubt them: planes in 3D, windows of loop closures that follow the drift in 2D.
-    pub fn doubts_sensors(&self) -> bool {
-        self.match_surfaces || self.loop_search_drift > 0.0
     }
 }
 

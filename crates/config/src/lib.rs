@@ -15,6 +15,7 @@ pub mod lua;
 mod nearest;
 pub mod node;
 pub mod options;
+mod policies;
 mod read;
 mod reference;
 mod setting;

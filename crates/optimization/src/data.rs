@@ -7,7 +7,7 @@ use portolan_geometry::{Duration, NearFrame, Quaternion, Rigid3, Time, Vector3, 
 use portolan_motion::Observability;
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkObservation, OdometryData};
 
-use crate::{NodeId, SubmapId, TrajectoryConnectivity, TrajectoryId, of_trajectory};
+use crate::{NodeId, SensorPolicy, SubmapId, TrajectoryConnectivity, TrajectoryId, of_trajectory};
 
 /// A node as the optimisation sees it.
 #[derive(Clone, Debug, PartialEq)]
@@ -95,9 +95,8 @@ pub struct OptimizationData {
     pub given_starts: BTreeMap<NodeId, Rigid3>,
     /// Trajectories that are not moved.
     pub frozen: BTreeSet<TrajectoryId>,
-    /// Whether biases of IMUs are estimated and taken away, and fixes weighted by how far they scatter; Cartographer
-    /// believes both as they are.
-    pub doubts_sensors: bool,
+    /// What is made of what sensors say.
+    pub sensor_policy: SensorPolicy,
     /// First submaps of parts of the map that nothing ties to the rest: they stay where they are, so that
     /// their part does not float. The first submap of all stays in any case.
     pub anchors: BTreeSet<SubmapId>,

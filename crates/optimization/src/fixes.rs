@@ -76,7 +76,7 @@ impl FixedFrame {
         let (first, in_fixed) = measured.first()?;
         // A satellite fix says nothing of rotations. Cartographer takes it for heading east.
         let are_fixes = measured.iter().all(|(_, in_fixed)| in_fixed.rotation.angle() < 1e-9);
-        if !data.doubts_sensors || !are_fixes {
+        if !data.sensor_policy.weighs_fixes_by_scatter || !are_fixes {
             let of_first = || Some(data.nodes.get(first)?.map_from_node * in_fixed.inverse());
             let map_from_fixed = known.or_else(of_first)?;
             let weights = (usual, options.fixed_frame_pose_rotation_weight);
@@ -134,7 +134,7 @@ pub(super) fn loss(data: &OptimizationData, options: &OptimizationProblemOptions
             (options.fixed_frame_pose_tolerant_loss_param_a, options.fixed_frame_pose_tolerant_loss_param_b);
         return Loss::Tolerant(a, b);
     }
-    if data.doubts_sensors { Loss::Huber(OUTLIER) } else { Loss::None }
+    if data.sensor_policy.has_robust_fixes { Loss::Huber(OUTLIER) } else { Loss::None }
 }
 
 /// Where the frame of fixes lies in the map, by its heading and place; none if fixes are too few.

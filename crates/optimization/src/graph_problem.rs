@@ -316,7 +316,9 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
         }
         // Where fixes are not believed any more, the map does not lie where it was thought to.
         let is_used = |id: &TrajectoryId| {
-            self.fixed_frames.contains_key(id) || !data.doubts_sensors || data.frozen.contains(id)
+            self.fixed_frames.contains_key(id)
+                || !data.sensor_policy.weighs_fixes_by_scatter
+                || data.frozen.contains(id)
         };
         let unused: Vec<TrajectoryId> = data.sensors.keys().filter(|id| !is_used(id)).copied().collect();
         for id in unused {

@@ -9,6 +9,7 @@ mod fixes;
 mod graph_problem;
 mod id;
 mod imu_bias;
+mod policy;
 mod remembered;
 mod three_d;
 mod two_d;
@@ -21,6 +22,7 @@ pub use data::{
 };
 pub use fixes::unused_fixes;
 pub use id::{IndexedId, NodeId, SubmapId, TrajectoryId, of_trajectory};
+pub use policy::SensorPolicy;
 pub use remembered::remembered_optimum;
 pub use three_d::optimize_3d;
 pub use two_d::optimize_2d;

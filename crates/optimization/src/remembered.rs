@@ -3,7 +3,7 @@
 use portolan_geometry::Rigid3;
 use portolan_recall::{Answer, Fingerprint, Memory, Sink, Words};
 
-use crate::{Constraint, ImuState, OptimizationData, OptimizationSummary, TrajectoryId};
+use crate::{Constraint, ImuState, OptimizationData, OptimizationSummary, SensorPolicy, TrajectoryId};
 
 /// Optimises, or takes over what was found when it was done before. `seen` is a fingerprint of everything that sensors
 /// measured so far.
@@ -53,7 +53,21 @@ fn add_problem(question: &mut Fingerprint, data: &OptimizationData, constraints:
     for pose in data.given_starts.values() {
         question.add(*pose);
     }
-    question.add((data.doubts_sensors, data.max_iterations_override));
+    let SensorPolicy {
+        estimates_imu_biases,
+        holds_imu_mounting,
+        weighs_fixes_by_scatter,
+        has_robust_fixes,
+        holds_start_level,
+    } = data.sensor_policy;
+    question.add([
+        estimates_imu_biases,
+        holds_imu_mounting,
+        weighs_fixes_by_scatter,
+        has_robust_fixes,
+        holds_start_level,
+    ]);
+    question.add(data.max_iterations_override);
 }
 
 fn count(number: usize) -> u64 {

@@ -116,7 +116,9 @@ impl<'a> GraphProblem3d<'a> {
         let tilts = |id: &TrajectoryId, sensors: &TrajectorySensors| {
             !data.frozen.contains(id) && sensors.imu.is_empty() && !sensors.fixed_frame.is_empty()
         };
-        for (&id, sensors) in data.sensors.iter().filter(|(id, s)| data.doubts_sensors && tilts(id, s)) {
+        for (&id, sensors) in
+            data.sensors.iter().filter(|(id, s)| data.sensor_policy.holds_start_level && tilts(id, s))
+        {
             let Some(frame) = self.graph.fixed_frame(id) else { continue };
             let Some((node_id, node)) = of_trajectory(&data.nodes, id).next() else { continue };
             let Some(variable) = self.graph.node(node_id) else { continue };
@@ -152,7 +154,7 @@ impl<'a> GraphProblem3d<'a> {
             calibration: problem.add_rotation(&state.calibration, freedom),
         };
         self.imus.insert(id, variables);
-        if freedom == RotationFreedom::Free && data.doubts_sensors {
+        if freedom == RotationFreedom::Free && data.sensor_policy.holds_imu_mounting {
             let (variable, rotation) = (variables.calibration, Quaternion::identity());
             let factor = factors::RotationPrior { variable, rotation, weight: 1.0 / MOUNTING_SIGMA };
             self.graph.add_factor(factor, Loss::None);
@@ -162,7 +164,7 @@ impl<'a> GraphProblem3d<'a> {
 
     fn estimate_imu_biases(&mut self, data: &OptimizationData) {
         let options = self.options;
-        let wanted = data.doubts_sensors && !options.fix_z_in_3d;
+        let wanted = data.sensor_policy.estimates_imu_biases && !options.fix_z_in_3d;
         let moving = data.sensors.keys().filter(|id| wanted && !data.frozen.contains(id));
         self.imu_biases = moving.map(|id| (*id, ImuBias::estimate(data, *id, options))).collect();
     }

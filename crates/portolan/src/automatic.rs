@@ -212,7 +212,7 @@ pub fn search_in_known_map(options: &mut Options, submaps: usize) {
     // One or two whole submaps a node, every time others: steps of the golden ratio come round last. The
     // reference program's 0.3 % takes minutes to find the first one in a small map.
     // In 3D the newest nodes are searched as they come.
-    let golden = if options.portolan.match_surfaces { 0.618 } else { 1.618 };
+    let golden = if options.portolan.localises_while_recording() { 0.618 } else { 1.618 };
     graph.global_sampling_ratio = (golden / submaps.max(1) as f64).min(1.0);
     if options.portolan.match_surfaces {
         graph.constraint_builder.global_localization_min_score = MIN_SCORE_ANYWHERE_3D;

@@ -8,7 +8,7 @@ use portolan_config::Options;
 use portolan_geometry::{Dimension, Rigid3, Time};
 use portolan_mapping::{Constraint, ConstraintTag, NodeId, Space, Space2d, Space3d, SubmapId, TrajectoryId};
 use portolan_optimization::{
-    OptimizationData, OptimizationNode, OptimizationSummary, TrajectoryConnectivity,
+    OptimizationData, OptimizationNode, OptimizationSummary, SensorPolicy, TrajectoryConnectivity,
 };
 use serde::Serialize;
 
@@ -64,7 +64,7 @@ impl MapDraft {
         let collected = Collected::read(self)?;
         let mut data = self.problem::<S>(&collected);
         data.max_iterations_override = Some(iterations);
-        data.doubts_sensors = options.portolan.doubts_sensors();
+        data.sensor_policy = SensorPolicy::new(&options.portolan);
         let constraints = self.constraints::<S>(&collected);
         data.set_anchors(&connectivity(&data, &constraints));
         if data.nodes.is_empty() || data.submaps.is_empty() {

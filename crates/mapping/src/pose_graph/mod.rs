@@ -191,7 +191,7 @@ impl<S: Space> PoseGraph<S> {
 
     /// What is done beyond what Cartographer does. To be set before anything is added.
     pub fn set_policy(&mut self, policy: PoseGraphPolicy) {
-        self.problem.doubts_sensors = policy.doubts_sensors;
+        self.problem.sensor_policy = policy.sensors;
         self.localisation.set_wanted(policy.localises_while_recording && S::DIMENSION == Dimension::ThreeD);
         self.policy = policy;
         self.search.set_policy(self.loop_search());

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
 use portolan_config::PortolanOptions;
+use portolan_optimization::SensorPolicy;
 use portolan_submaps::SearchWindow;
 
 use crate::{MatchAcceptance, NodeId, SubmapId, TrajectoryId};
@@ -97,8 +98,8 @@ pub(super) const GOLDEN: f64 = 0.618_033_988_749_895;
 pub struct PoseGraphPolicy {
     /// Loop closures that all others together contradict are dropped at the end.
     pub drops_contradicted: bool,
-    /// Biases of IMUs are estimated and taken away when optimising in 3D, and fixes weighed by what they are worth.
-    pub doubts_sensors: bool,
+    /// What is made of what sensors say when optimising.
+    pub sensors: SensorPolicy,
     /// How many matches in whole submaps must agree to connect two trajectories; with 1 a single match does.
     pub min_agreeing: usize,
     /// Trajectories without a place in the map are searched as soon as nodes come, as many times as real time
@@ -118,7 +119,7 @@ impl Default for PoseGraphPolicy {
     fn default() -> Self {
         Self {
             drops_contradicted: false,
-            doubts_sensors: false,
+            sensors: SensorPolicy::default(),
             min_agreeing: 1,
             localises_while_recording: false,
             min_searches: 0,
@@ -145,17 +146,17 @@ impl PoseGraphPolicy {
     pub fn new(options: &PortolanOptions) -> Self {
         Self {
             drops_contradicted: options.drop_contradicted_loop_closures,
-            doubts_sensors: options.doubts_sensors(),
+            sensors: SensorPolicy::new(options),
             min_agreeing: options.global_localization_min_matches,
-            localises_while_recording: options.match_surfaces,
+            localises_while_recording: options.localises_while_recording(),
             min_searches: options.min_loop_closure_searches as u64,
             submaps_per_place: options.submaps_per_place,
             redraws: options.redraw_submaps,
             loops: LoopSearchPolicy {
                 drift: options.loop_search_drift,
-                searches_whole_maps: options.loop_search_drift > 0.0 || options.match_surfaces,
+                searches_whole_maps: options.searches_whole_maps(),
                 spacing: options.loop_search_spacing,
-                is_from_nodes: options.match_surfaces,
+                is_from_nodes: options.measures_distance_from_nodes(),
                 acceptance: MatchAcceptance {
                     min_explained: options.loop_min_explained as f32,
                     max_contradiction: options.loop_max_contradiction as f32,

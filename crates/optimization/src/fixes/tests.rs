@@ -2,12 +2,20 @@ use portolan_geometry::{Quaternion, Rigid3};
 use portolan_numeric::SplitMix64;
 
 use super::*;
+use crate::SensorPolicy;
 
 const ID: TrajectoryId = TrajectoryId(0);
+const WEIGHED: SensorPolicy = SensorPolicy {
+    estimates_imu_biases: false,
+    holds_imu_mounting: false,
+    weighs_fixes_by_scatter: true,
+    has_robust_fixes: true,
+    holds_start_level: false,
+};
 
 /// A drive around a block whose map has drifted, and fixes in a frame that is turned by 2 rad, off by this (east and north).
 fn drive(error: impl Fn(u32) -> [f64; 2]) -> OptimizationData {
-    let mut data = OptimizationData { doubts_sensors: true, ..Default::default() };
+    let mut data = OptimizationData { sensor_policy: WEIGHED, ..Default::default() };
     let fixed_from_map = Rigid3::from_parts(
         Vector3::new(500.0, -300.0, 20.0).into(),
         rotation_from_roll_pitch_yaw(0.0, 0.0, 2.0),
@@ -87,7 +95,8 @@ fn fixes_that_contradict_the_map_are_not_believed() {
 
 #[test]
 fn cartographer_believes_fixes_as_they_are() {
-    let data = OptimizationData { doubts_sensors: false, ..drive(|k| noise(k).map(|n| 4.0 * n)) };
+    let data =
+        OptimizationData { sensor_policy: SensorPolicy::default(), ..drive(|k| noise(k).map(|n| 4.0 * n)) };
     let found = frame(&data).unwrap();
     assert_eq!(found.weights.0, 10.0);
     assert!(found.map_from_fixed.rotation.angle() < 1e-9);

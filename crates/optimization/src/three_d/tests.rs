@@ -2,7 +2,7 @@ use portolan_geometry::{Time, Vector3};
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkObservation};
 
 use super::*;
-use crate::{ConstraintTag, SubmapId};
+use crate::{ConstraintTag, SensorPolicy, SubmapId};
 
 const TRAJECTORY: TrajectoryId = TrajectoryId(0);
 
@@ -157,7 +157,12 @@ fn frozen_trajectories_stay() {
 fn fixes_along_a_straight_way_do_not_roll_the_map() {
     let roll_of = |corrects: bool| {
         let mut data = OptimizationData {
-            doubts_sensors: corrects,
+            sensor_policy: SensorPolicy {
+                weighs_fixes_by_scatter: corrects,
+                has_robust_fixes: corrects,
+                holds_start_level: corrects,
+                ..Default::default()
+            },
             max_iterations_override: Some(200),
             ..Default::default()
         };
