@@ -14,7 +14,8 @@ use std::path::{Path, PathBuf};
 use portolan_unfinished::Unfinished;
 use tempfile::NamedTempFile;
 
-use disk::{Disk, before_commit};
+pub use disk::{Disk, nameless_file};
+use disk::{before_operation, sync};
 pub use folder::ResultFolder;
 pub use leftover::{Leftovers, remove_leftovers};
 pub use space::{NoRoom, free_bytes, require_room, require_room_for};
@@ -37,6 +38,8 @@ pub struct WriteError {
 pub struct AtomicFile {
     path: PathBuf,
     target: Target,
+    /// Why something could not be written. The file is not whole then, even if whoever wrote it went on.
+    failure: Option<io::Error>,
 }
 
 enum Target {
@@ -55,7 +58,7 @@ impl AtomicFile {
     pub fn create(path: impl AsRef<Path>) -> Result<Self, WriteError> {
         let path = path.as_ref();
         let target = open_target(path).map_err(|source| WriteError { path: path.to_owned(), source })?;
-        Ok(Self { path: path.to_owned(), target })
+        Ok(Self { path: path.to_owned(), target, failure: None })
     }
 
     /// The name the file will have.
@@ -73,28 +76,45 @@ impl AtomicFile {
             file.write_all(bytes)?;
             file.seek(SeekFrom::End(0)).map(drop)
         }
-        match &mut self.target {
+        let done = match &mut self.target {
             Target::Temporary(writer, ..) => overwrite(writer, offset, bytes),
             Target::Direct(writer) => overwrite(writer, offset, bytes),
-        }
+        };
+        self.noted(done)
     }
 
     /// A handle for a library that writes the file itself, reads it while writing, and uses no buffer.
     ///
     /// # Errors
     /// The system has no handle left.
-    pub fn handle(&self) -> io::Result<File> {
-        match &self.target {
+    pub fn handle(&self) -> io::Result<Disk<File>> {
+        let handle = match &self.target {
             Target::Temporary(writer, ..) => writer.get_ref().0.as_file().try_clone(),
             Target::Direct(writer) => writer.get_ref().0.try_clone(),
+        };
+        handle.map(Disk)
+    }
+
+    /// Keeps in mind that something could not be written.
+    fn noted<T>(&mut self, done: io::Result<T>) -> io::Result<T> {
+        match &done {
+            // Whoever was interrupted tries again.
+            Err(error) if error.kind() != io::ErrorKind::Interrupted && self.failure.is_none() => {
+                self.failure = Some(copy_of(error));
+            }
+            _ => {}
         }
+        done
     }
 
     /// Writes out what is buffered, waits until it is on the disk and gives the file its name.
     ///
     /// # Errors
-    /// What is buffered cannot be written, or the file cannot be synchronised or renamed.
+    /// What is buffered, or anything before, cannot be written, or the file cannot be synchronised or renamed.
     pub fn commit(self) -> Result<(), WriteError> {
+        if let Some(source) = self.failure {
+            return Err(WriteError { path: self.path, source });
+        }
         let written = match self.target {
             Target::Temporary(writer, unfinished, destination) => {
                 commit_temporary(writer, unfinished, &destination)
@@ -140,6 +160,7 @@ fn open_target(path: &Path) -> io::Result<Target> {
         let text = format!("the folder \"{}\" does not exist", folder.display());
         return Err(io::Error::new(io::ErrorKind::NotFound, text));
     }
+    before_operation()?;
     let (unfinished, file) = temporary_file(folder)?;
     Ok(Target::Temporary(BufWriter::with_capacity(BUFFER, Disk(file)), unfinished, destination))
 }
@@ -175,6 +196,14 @@ pub(crate) fn plain(error: io::Error) -> io::Error {
     }
 }
 
+/// An error once more.
+fn copy_of(error: &io::Error) -> io::Error {
+    match error.raw_os_error() {
+        Some(code) => io::Error::from_raw_os_error(code),
+        None => io::Error::new(error.kind(), error.to_string()),
+    }
+}
+
 /// Where a link leads, so that the link stays one.
 fn destination(path: &Path) -> io::Result<PathBuf> {
     if !fs::symlink_metadata(path).is_ok_and(|metadata| metadata.is_symlink()) {
@@ -197,9 +226,9 @@ fn commit_temporary(
     destination: &Path,
 ) -> io::Result<()> {
     let Disk(file) = writer.into_inner().map_err(io::IntoInnerError::into_error)?;
-    before_commit()?;
-    file.as_file().sync_all()?;
-    before_commit()?;
+    before_operation()?;
+    sync(file.as_file())?;
+    before_operation()?;
     unfinished.complete(|| file.persist(destination).map_err(|e| e.error))?;
     sync_folder(folder_of(destination))
 }
@@ -207,7 +236,7 @@ fn commit_temporary(
 /// Waits until the new name is on the disk, too. Not every system lets folders be opened or synchronised.
 fn sync_folder(folder: &Path) -> io::Result<()> {
     let Ok(folder) = File::open(folder) else { return Ok(()) };
-    folder.sync_all().or_else(|error| match error.kind() {
+    sync(&folder).or_else(|error| match error.kind() {
         io::ErrorKind::InvalidInput | io::ErrorKind::Unsupported | io::ErrorKind::PermissionDenied => Ok(()),
         _ => Err(error),
     })
@@ -215,17 +244,19 @@ fn sync_folder(folder: &Path) -> io::Result<()> {
 
 impl Write for AtomicFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        match &mut self.target {
+        let done = match &mut self.target {
             Target::Temporary(writer, ..) => writer.write(bytes),
             Target::Direct(writer) => writer.write(bytes),
-        }
+        };
+        self.noted(done)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        match &mut self.target {
+        let done = match &mut self.target {
             Target::Temporary(writer, ..) => writer.flush(),
             Target::Direct(writer) => writer.flush(),
-        }
+        };
+        self.noted(done)
     }
 }
 

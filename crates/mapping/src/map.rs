@@ -69,6 +69,15 @@ impl<S: Space> Map<S> {
         trajectory.scans.iter().filter_map(pose).collect()
     }
 
+    /// Whether all poses that were asked for so far could be told.
+    ///
+    /// # Errors
+    /// Some of them waited in a file that could not be read again, and were missing.
+    pub fn whole(&self) -> std::io::Result<()> {
+        self.trajectories.values().try_for_each(|trajectory| trajectory.scans.whole())?;
+        self.graph.state().trimmed_nodes.whole()
+    }
+
     /// The nodes of a trajectory as they are, or as they were when they were trimmed.
     fn nodes_as_last(&self, id: TrajectoryId) -> BTreeMap<NodeId, TrimmedNode> {
         let state = self.graph.state();

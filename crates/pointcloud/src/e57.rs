@@ -1,6 +1,6 @@
 //! E57: all scans of a file, each placed by its pose.
 
-use std::io::BufReader;
+use std::io::{self, BufReader, ErrorKind::Interrupted, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::JoinHandle;
@@ -295,7 +295,7 @@ impl E57Writer {
 
     fn write_file(&mut self) -> Result<(), String> {
         let text = |error: e57::Error| error.to_string();
-        let handle = self.output.handle().map_err(|e| e.to_string())?;
+        let handle = Persistent(self.output.handle().map_err(|e| e.to_string())?);
         // Names that are the same every time, so that the bytes are.
         let mut file = e57::E57Writer::new(handle, "{portolan-file}").map_err(text)?;
         let prototype = self.prototype();
@@ -320,6 +320,36 @@ impl E57Writer {
         }
         points.finalize().map_err(text)?;
         file.finalize().map_err(text)
+    }
+}
+
+/// A file that is read again after a signal, which the library does not do.
+struct Persistent<F>(F);
+
+impl<F: Read> Read for Persistent<F> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        loop {
+            match self.0.read(bytes) {
+                Err(error) if error.kind() == Interrupted => {}
+                read => return read,
+            }
+        }
+    }
+}
+
+impl<F: Write> Write for Persistent<F> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.0.flush()
+    }
+}
+
+impl<F: Seek> Seek for Persistent<F> {
+    fn seek(&mut self, position: SeekFrom) -> io::Result<u64> {
+        self.0.seek(position)
     }
 }
 

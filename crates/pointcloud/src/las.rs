@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 
 use las::point::Format;
 use las::{Builder, Color, Point, PointData, PointDataBuilder, Reader, Transform, Vector, Version, Writer};
+use portolan_atomic_file::Disk;
 use portolan_issue::{Issue, IssueKind, IssueLog};
 
 use crate::BATCH_POINTS;
@@ -195,7 +196,7 @@ pub(crate) struct LasWriter {
     origin: Option<[f64; 3]>,
     is_compressed: bool,
     /// From the first point on, near which coordinates count.
-    writer: Option<Writer<Remembering<std::io::BufWriter<std::fs::File>>>>,
+    writer: Option<Writer<Remembering<std::io::BufWriter<Disk<std::fs::File>>>>>,
     /// Why the file could not be written.
     failure: Failure,
     written: Written,
@@ -227,6 +228,10 @@ impl LasWriter {
     }
 
     fn unwritable(&self, error: &las::Error) -> CloudError {
+        // What the disk says comes first: the library may stumble over what is missing.
+        if let Some(failure) = self.failure.get() {
+            return CloudError::write(&self.output.path, failure);
+        }
         CloudError::Unwritable {
             path: self.output.path.clone(),
             detail: format!("{error}; a coarser resolution lets coordinates reach farther"),

@@ -1,11 +1,11 @@
 //! Files that appear whole or not at all.
 
 use std::fs::File;
-use std::io::{BufWriter, Read, Seek, SeekFrom, Write};
+use std::io::{BufWriter, Read as _, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 
 pub(crate) use portolan_atomic_file::folder_of;
-use portolan_atomic_file::{AtomicFile, WriteError};
+use portolan_atomic_file::{AtomicFile, Disk, WriteError, nameless_file};
 
 use crate::error::CloudError;
 
@@ -48,7 +48,7 @@ impl Output {
     ///
     /// # Errors
     /// The file is complete already, or the system has no handle left.
-    pub fn handle(&self) -> Result<File, CloudError> {
+    pub fn handle(&self) -> Result<Disk<File>, CloudError> {
         let file = self.file.as_ref().map(AtomicFile::handle);
         let file = file.unwrap_or_else(|| Err(std::io::Error::other("the file is closed")));
         file.map_err(|e| CloudError::write(&self.path, e))
@@ -65,7 +65,7 @@ impl Output {
 
 /// Bytes that wait on disk until all of them are known, in a file without a name.
 pub(crate) struct Spool {
-    writer: BufWriter<File>,
+    writer: BufWriter<Disk<File>>,
     length: u64,
 }
 
@@ -75,7 +75,7 @@ impl Spool {
     /// # Errors
     /// No file can be made there.
     pub fn new() -> std::io::Result<Self> {
-        Ok(Self::of(tempfile::tempfile()?))
+        Self::in_folder(&std::env::temp_dir())
     }
 
     /// In this folder: that of results has room for them, which the one for temporary files, often memory, may not.
@@ -83,11 +83,8 @@ impl Spool {
     /// # Errors
     /// No file can be made there.
     pub fn in_folder(folder: &Path) -> std::io::Result<Self> {
-        Ok(Self::of(tempfile::tempfile_in(folder)?))
-    }
-
-    fn of(file: File) -> Self {
-        Self { writer: BufWriter::with_capacity(1 << 16, file), length: 0 }
+        let writer = BufWriter::with_capacity(1 << 16, nameless_file(folder)?);
+        Ok(Self { writer, length: 0 })
     }
 
     /// # Errors

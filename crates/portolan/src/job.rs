@@ -260,21 +260,23 @@ impl<'a> Job<'a> {
         Ok(())
     }
 
-    fn end_journal(&self, interrupted: bool, observe: &mut Observer) {
+    /// Closes the journal, which stays if the rest can be mapped with it.
+    fn end_journal(&self, stays: bool, observe: &mut Observer) {
         let Some(journal) = &self.journal else { return };
-        match journal.close() {
-            Err(error) => {
-                let (folder, reason) = (self.request.folder.clone(), error.to_string());
-                event::remark(observe, Remark::NoJournal { folder, reason });
-                if !interrupted && error.kind() == std::io::ErrorKind::StorageFull {
-                    // What there is of it serves nobody any more.
-                    std::fs::remove_file(self.request.folder.join(JOURNAL)).unwrap_or_default();
-                }
+        let (file, written) = journal.close();
+        let reason = written.err().map(|error| error.to_string());
+        match (file, reason) {
+            (Some(path), reason) if stays => {
+                event::remark(observe, Remark::JournalLeft { path, ends_early: reason });
             }
-            Ok(Some(path)) if interrupted => event::remark(observe, Remark::JournalLeft(path)),
-            // Where it cannot be removed it harms nobody.
-            Ok(Some(path)) => std::fs::remove_file(path).unwrap_or_default(),
-            Ok(None) => {}
+            (file, reason) => {
+                if let Some(reason) = reason {
+                    let folder = self.request.folder.clone();
+                    event::remark(observe, Remark::NoJournal { folder, reason });
+                }
+                // It serves nobody any more; where it cannot be removed it harms nobody.
+                file.map_or(Ok(()), std::fs::remove_file).unwrap_or_default();
+            }
         }
     }
 
@@ -354,15 +356,20 @@ impl<'a> Job<'a> {
         Ok(clouds)
     }
 
-    /// All steps: loads known maps, maps, writes the results and clouds.
+    /// All steps: loads known maps, maps, writes the results and clouds. If one fails, it is told whether the journal has
+    /// what the others found.
     ///
     /// # Errors
     /// As the steps.
     pub fn run(&self, observe: &mut Observer) -> Result<Finished, JobError> {
-        match self.preparation.dimension {
+        let finished = match self.preparation.dimension {
             Dimension::TwoD => self.run_in::<Space2d>(observe),
             Dimension::ThreeD => self.run_in::<Space3d>(observe),
+        };
+        if finished.is_err() {
+            self.end_journal(true, observe);
         }
+        finished
     }
 
     fn run_in<S: ResultSpace>(&self, observe: &mut Observer) -> Result<Finished, JobError> {

@@ -5,9 +5,10 @@
 //! happens. Memory is that of one buffer, however long the recording is.
 
 use std::fs::File;
-use std::io::{self, BufReader, BufWriter, Read, Seek, Write};
+use std::io::{self, BufReader, BufWriter, Read, Seek as _, Write as _};
 use std::path::Path;
 
+use portolan_atomic_file::{Disk, nameless_file};
 use portolan_geometry::{Point3f, Rigid3, Time};
 use portolan_lidar_odometry::SweepPoint;
 use portolan_motion::MotionFilter;
@@ -38,7 +39,7 @@ const ALL: RangeLimits = RangeLimits { min_range: 0.0, max_range: f32::INFINITY 
 /// What local SLAM took of the scans of a recording, on disk.
 #[derive(Debug, Default)]
 pub struct KeptScans {
-    file: Option<BufWriter<File>>,
+    file: Option<BufWriter<Disk<File>>>,
     failure: Option<io::Error>,
     last: Option<MotionFilter>,
     scans: u64,
@@ -48,7 +49,7 @@ pub struct KeptScans {
 impl KeptScans {
     /// Keeps scans in a file in this folder, which has no name and vanishes with its last user.
     pub fn in_folder(folder: &Path) -> Self {
-        let file = tempfile::tempfile_in(folder);
+        let file = nameless_file(folder);
         let last = Some(MotionFilter::new(FAR.0, FAR.1, FAR.2));
         match file.map(|file| BufWriter::with_capacity(BUFFER, file)) {
             Ok(file) => Self { file: Some(file), last, ..Self::default() },
@@ -110,7 +111,7 @@ impl KeptScans {
 
     /// Ends the keeping: everything is in the file.
     pub fn finish(&mut self) {
-        if let Some(Err(error)) = self.file.as_mut().map(Write::flush) {
+        if let Some(Err(error)) = self.file.as_mut().map(BufWriter::flush) {
             self.fail(error);
         }
         self.bytes = Vec::new();
@@ -139,7 +140,8 @@ impl KeptScans {
         visit: &mut dyn FnMut(&[MapPoint]) -> bool,
     ) -> io::Result<Reprojected> {
         let missing = || io::Error::new(io::ErrorKind::NotFound, "no scans were kept");
-        let mut reader = BufReader::with_capacity(BUFFER, self.file.as_ref().ok_or_else(missing)?.get_ref());
+        let file = self.file.as_ref().ok_or_else(missing)?.get_ref().shared();
+        let mut reader = BufReader::with_capacity(BUFFER, file);
         reader.rewind()?;
         let mut reprojector = Reprojector::new(motion, ALL);
         let mut bytes = Vec::new();
@@ -279,7 +281,7 @@ mod tests {
         assert!(kept.reproject(&motion, 1, &mut |_| true).is_err());
         assert!(KeptScans::default().failure().is_none() && !KeptScans::default().is_complete());
         let Ok(full) = File::options().write(true).open("/dev/full") else { return };
-        let mut kept = KeptScans { file: Some(BufWriter::new(full)), ..KeptScans::default() };
+        let mut kept = KeptScans { file: Some(BufWriter::new(Disk(full))), ..KeptScans::default() };
         (0..100).for_each(|scan| kept.keep_points(at(scan), &points(scan)));
         kept.finish();
         assert!(kept.failure().is_some() && !kept.is_complete());

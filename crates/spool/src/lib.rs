@@ -3,9 +3,11 @@
 
 use std::fmt;
 use std::fs::File;
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::io::{self, Read as _, Seek as _, SeekFrom, Write as _};
 use std::path::Path;
+use std::sync::OnceLock;
 
+use portolan_atomic_file::{Disk, nameless_file};
 use portolan_recall::{Answer, Words};
 
 /// Words that are written, and read, at a time: 256 kB.
@@ -14,7 +16,7 @@ const BLOCK: usize = 1 << 15;
 /// A list that only grows, of which all but the newest records wait in a file.
 pub struct Spool<T> {
     /// Blocks of words before the newest; none where everything is in memory.
-    file: Option<File>,
+    file: Option<Disk<File>>,
     /// What each block in the file holds, in order.
     blocks: Vec<Block>,
     newest: Vec<T>,
@@ -22,6 +24,8 @@ pub struct Spool<T> {
     len: usize,
     last: Option<T>,
     failure: Option<io::Error>,
+    /// Why the file could not be read.
+    unreadable: OnceLock<io::Error>,
 }
 
 /// Records that were written at once.
@@ -43,6 +47,7 @@ impl<T> Default for Spool<T> {
             len: 0,
             last: None,
             failure: None,
+            unreadable: OnceLock::new(),
         }
     }
 }
@@ -56,7 +61,11 @@ impl<T> fmt::Debug for Spool<T> {
 impl<T: Answer + Clone> Clone for Spool<T> {
     /// A copy in memory.
     fn clone(&self) -> Self {
-        self.iter().collect()
+        let mut copy: Self = self.iter().collect();
+        if let Some(error) = self.unreadable.get() {
+            copy.unreadable = OnceLock::from(io::Error::new(error.kind(), error.to_string()));
+        }
+        copy
     }
 }
 
@@ -88,12 +97,23 @@ impl<T> Spool<T> {
     pub fn failure(&self) -> Option<&io::Error> {
         self.failure.as_ref()
     }
+
+    /// Whether every list of the records that was read so far was whole.
+    ///
+    /// # Errors
+    /// The file could not be read again, so that one ended too early.
+    pub fn whole(&self) -> io::Result<()> {
+        self.unreadable.get().map_or(Ok(()), |error| {
+            let text = format!("what waited in a nameless file cannot be read again: {error}");
+            Err(io::Error::new(error.kind(), text))
+        })
+    }
 }
 
 impl<T: Answer + Clone> Spool<T> {
     /// An empty list whose records wait in a file in this folder.
     pub fn in_folder(folder: &Path) -> Self {
-        match tempfile::tempfile_in(folder) {
+        match nameless_file(folder) {
             Ok(file) => Self { file: Some(file), ..Self::default() },
             Err(error) => Self { failure: Some(error), ..Self::default() },
         }
@@ -112,10 +132,21 @@ impl<T: Answer + Clone> Spool<T> {
         }
     }
 
-    /// All records, in order. A file that cannot be read any more ends them.
+    /// All records, in order. A file that cannot be read any more ends them, and [`Spool::whole`] says so.
     pub fn iter(&self) -> impl Iterator<Item = T> + '_ {
-        let earlier = self.blocks.iter().map_while(|block| self.read_block(*block));
-        earlier.flatten().chain(self.newest.iter().cloned())
+        let (mut blocks, mut newest) = (self.blocks.iter(), self.newest.iter());
+        let mut read = Vec::new().into_iter();
+        let next = move || loop {
+            if let Some(record) = read.next() {
+                return Some(record);
+            }
+            match blocks.next() {
+                Some(block) => read = self.read_block(*block)?.into_iter(),
+                None => return newest.next().cloned(),
+            }
+        };
+        // What comes after a gap is no part of the list.
+        std::iter::from_fn(next).fuse()
     }
 
     /// Puts the newest records into the file. If that fails they stay in memory, as all later ones do.
@@ -134,11 +165,12 @@ impl<T: Answer + Clone> Spool<T> {
     }
 
     fn read_block(&self, block: Block) -> Option<Vec<T>> {
-        let mut file = self.file.as_ref()?;
+        let mut file = self.file.as_ref()?.shared();
         let mut bytes = vec![0; usize::try_from(bytes_of(block.words)).ok()?];
         let read = file.seek(SeekFrom::Start(block.begin)).and_then(|_| file.read_exact(&mut bytes));
         if let Err(error) = read {
             tracing::error!("what waited in a nameless file cannot be read again, and is missing: {error}");
+            self.unreadable.get_or_init(|| error);
             return None;
         }
         let words: Vec<u64> = bytes.as_chunks::<8>().0.iter().map(|word| u64::from_le_bytes(*word)).collect();
@@ -190,7 +222,7 @@ mod tests {
         spool.push(pose(1));
         assert_eq!(spool.iter().collect::<Vec<_>>(), [pose(1)]);
         let Ok(full) = File::options().read(true).write(true).open("/dev/full") else { return };
-        let mut spool = Spool { file: Some(full), ..Spool::default() };
+        let mut spool = Spool { file: Some(Disk(full)), ..Spool::default() };
         (0..20_000).for_each(|index| spool.push(pose(index)));
         assert!(spool.failure().is_some() && spool.iter().eq((0..20_000).map(pose)));
     }

@@ -50,6 +50,14 @@ impl TrimmedNodes {
         self.nodes.len()
     }
 
+    /// Whether all that was asked for so far could be told.
+    ///
+    /// # Errors
+    /// The file in which nodes wait could not be read again.
+    pub fn whole(&self) -> std::io::Result<()> {
+        self.nodes.whole()
+    }
+
     /// Whether none was removed.
     pub fn is_empty(&self) -> bool {
         self.nodes.is_empty()

@@ -123,8 +123,13 @@ pub enum Remark {
     },
     /// An earlier run did not end; its journal is replaced.
     JournalReplaced(PathBuf),
-    /// The journal of a run that was stopped stays.
-    JournalLeft(PathBuf),
+    /// The journal of a run that was stopped, or failed, stays.
+    JournalLeft {
+        /// The journal.
+        path: PathBuf,
+        /// Why it does not hold all that was found out, if it does not.
+        ends_early: Option<String>,
+    },
     /// X-rays need the recording again, because scans could not be kept.
     ScansNotKept {
         /// Where.
@@ -199,9 +204,7 @@ impl fmt::Display for Remark {
                 write!(f, "{folder}: no journal ({reason}): if this run is cut off, --resume finds nothing")
             }
             Self::JournalReplaced(path) => write_journal_replaced(f, path),
-            Self::JournalLeft(path) => {
-                write!(f, "{} stays: the same command with --resume maps the rest", path.display())
-            }
+            Self::JournalLeft { path, ends_early } => write_journal_left(f, path, ends_early.as_deref()),
             Self::ScansNotKept { folder, reason } => {
                 let folder = folder.display();
                 write!(f, "scans could not be kept in {folder} ({reason}): X-rays need a second pass")
@@ -254,6 +257,11 @@ fn write_resumed(f: &mut fmt::Formatter<'_>, path: &Path, answers: usize, cut_of
 fn write_journal_replaced(f: &mut fmt::Formatter<'_>, path: &Path) -> fmt::Result {
     let path = path.display();
     write!(f, "{path} of an earlier run that was cut off is replaced; --resume would go on with it")
+}
+
+fn write_journal_left(f: &mut fmt::Formatter<'_>, path: &Path, ends_early: Option<&str>) -> fmt::Result {
+    write!(f, "{} stays: the same command with --resume maps the rest", path.display())?;
+    ends_early.map_or(Ok(()), |reason| write!(f, "; it ends early ({reason})"))
 }
 
 fn write_leftovers(f: &mut fmt::Formatter<'_>, folder: &Path, count: usize) -> fmt::Result {

@@ -85,10 +85,10 @@ impl Journal {
         Memory::new(self.answers.clone())
     }
 
-    /// Writes what is not written yet; the file, if there is one, or why there is not.
-    pub fn close(&self) -> Result<Option<PathBuf>, std::io::Error> {
+    /// Writes what is not written yet; the file, if there is one, and why it ends early or is missing, if it does or is.
+    pub fn close(&self) -> (Option<PathBuf>, std::io::Result<()>) {
         let writer = self.answers.writer.lock().unwrap_or_else(PoisonError::into_inner).take();
-        writer.map_or(Ok(None), Writer::close)
+        writer.map_or((None, Ok(())), Writer::close)
     }
 }
 

@@ -158,7 +158,11 @@ fn localize_in<M: KnownMap<Space: MapFileSpace>>(
     };
     run.read(observe)?;
     let saved_map = match &request.save_map {
-        Some(wanted) => Some(run.save_map(wanted, KnownFile { path: &request.map, map: graph, frame })?),
+        Some(wanted) => Some(run.save_map(
+            wanted,
+            KnownFile { path: &request.map, map: graph, frame },
+            &request.folder,
+        )?),
         None => None,
     };
     run.add_issues(&mut issues);
@@ -246,11 +250,17 @@ impl<M: KnownMap<Space: MapFileSpace>> Run<M> {
     }
 
     /// Lets the known map grow by the recording, and writes it, unless the reading was stopped.
-    fn save_map(&mut self, wanted: &SaveMap, known: KnownFile<'_, M::Space>) -> Result<SavedMap, JobError> {
+    fn save_map(
+        &mut self,
+        wanted: &SaveMap,
+        known: KnownFile<'_, M::Space>,
+        folder: &Path,
+    ) -> Result<SavedMap, JobError> {
         if self.interrupted {
             return Ok(SavedMap::Interrupted);
         }
         let estimates: Vec<Estimate> = self.estimates.iter().collect();
+        self.estimates.whole().map_err(|source| JobError::file(folder, source))?;
         wanted.save(known, &mut self.localizer, self.ingestion.sensors(), &estimates)
     }
 

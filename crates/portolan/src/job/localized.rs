@@ -184,9 +184,14 @@ pub fn write_localized(
     observe: &mut Observer,
 ) -> Result<Vec<PathBuf>, JobError> {
     let mut files = Vec::new();
-    write_tum(&folder.add("poses.tum", &mut files)?, &localized.poses())?;
+    let whole = || localized.estimates.whole().map_err(|source| JobError::file(folder.path(), source));
+    let poses = localized.poses();
+    whole()?;
+    write_tum(&folder.add("poses.tum", &mut files)?, &poses)?;
     if let Some(jumps) = localized.jumps {
-        write_tum(&folder.add("driver.tum", &mut files)?, &localized.driven(jumps))?;
+        let driven = localized.driven(jumps);
+        whole()?;
+        write_tum(&folder.add("driver.tum", &mut files)?, &driven)?;
     }
     write_csv(localized, &folder.add("poses.csv", &mut files)?)?;
     let changes = geojson(&localized.changes, |time| localized.recorded(time));
@@ -194,12 +199,14 @@ pub fn write_localized(
     write_file(&folder.add("changes.geojson", &mut files)?, &changes)?;
     let mut lines = outlines(&localized.changes);
     lines.extend(path(&localized.estimates));
+    whole()?;
     match draw_path(&localized.textures, &lines, &PictureOptions::default()) {
         Ok(picture) => write_picture(&folder.add("path.png", &mut files)?, &picture)?,
         Err(error @ PictureError::Nothing) => remark(observe, Remark::NoPicture(error)),
         Err(error) => return Err(error.into()),
     }
     let report = serde_json::to_vec_pretty(&report(localized, seconds))?;
+    whole()?;
     write_file(&folder.add("report.json", &mut files)?, &report)?;
     let stale = if localized.interrupted { Stale::Name } else { Stale::Remove };
     folder.finish(stale, &[], observe)?;
@@ -217,6 +224,7 @@ fn write_csv(localized: &LocalizedRecording, path: &Path) -> Result<(), JobError
             return Err(file.error(source).into());
         }
     }
+    localized.estimates.whole().map_err(|source| JobError::file(path, source))?;
     Ok(file.commit()?)
 }
 

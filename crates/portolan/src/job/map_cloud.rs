@@ -235,6 +235,7 @@ pub fn write_clouds<S: Space>(
         return Ok(None);
     }
     let poses = mapped.connected_scan_poses();
+    mapped.map.whole().map_err(|source| JobError::file(folder.path(), source))?;
     let view = with_xrays.then(|| xray::Request::new(&poses, &mapped.plan, preparation));
     let drawn = match &view {
         Some(view) => draw_kept(view, &mapped.kept_scans, &poses, folder, observe)?,

@@ -17,7 +17,7 @@ use super::event::{Observer, Remark, remark};
 use super::saved_map::is_same_file;
 use claim::Claim;
 pub use manifest::MANIFEST;
-use manifest::{Content, Manifest, Record, is_plain};
+use manifest::{Content, Manifest, Record, is_no_file, is_plain};
 
 /// What becomes of files that an earlier run of the same verb left and this one does not write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,8 +53,8 @@ impl OutputFolder {
     /// overwritten.
     ///
     /// # Errors
-    /// A file of such a name was not written by an earlier run of this verb, or was changed since; another run is writing
-    /// there.
+    /// A file of such a name was not written by an earlier run of this verb, was changed since, or cannot be read; another
+    /// run is writing there.
     pub fn begin<N: AsRef<str>>(
         path: impl Into<PathBuf>,
         verb: &'static str,
@@ -76,17 +76,15 @@ impl OutputFolder {
             remark(observe, Remark::LeftoversRemoved { folder: path.clone(), count: removed.len() });
         }
         left.into_iter().for_each(|file| remark(observe, Remark::LeftoverKept(file)));
-        let manifest = Manifest::read(&path);
-        let manifest_is_foreign = manifest.is_none();
-        let manifest = manifest.unwrap_or_default();
-        let is_foreign = |name: &&str| is_plain(name) && manifest.is_foreign(&path, name, verb);
-        let files = names.iter().map(AsRef::as_ref).filter(is_foreign);
-        let files: Vec<String> =
-            files.chain(manifest_is_foreign.then_some(MANIFEST)).map(str::to_owned).collect();
-        if !force && !files.is_empty() {
-            return Err(JobError::ForeignFiles { folder: path, verb, files });
+        let manifest =
+            Manifest::read(&path).map_err(|source| JobError::file(&path.join(MANIFEST), source))?;
+        if !force {
+            let files = foreign_files(manifest.as_ref(), &path, verb, names)?;
+            if !files.is_empty() {
+                return Err(JobError::ForeignFiles { folder: path, verb, files });
+            }
         }
-        let state = Mutex::new(State { manifest, claim, ..State::default() });
+        let state = Mutex::new(State { manifest: manifest.unwrap_or_default(), claim, ..State::default() });
         Ok(Self { path, verb, state })
     }
 
@@ -154,7 +152,7 @@ impl OutputFolder {
                 continue;
             }
             let is_input = inputs.iter().any(|input| is_same_file(input, &path));
-            let may_go = stale == Stale::Remove && !is_input && record.is_of(&path);
+            let may_go = stale == Stale::Remove && !is_input && record.is_of(&path).unwrap_or(false);
             if may_go && std::fs::remove_file(&path).is_ok() {
                 state.manifest.files.remove(&name);
                 removed.push(name);
@@ -173,7 +171,8 @@ impl OutputFolder {
         Ok(())
     }
 
-    /// Notes size and checksum of what is complete. What is not there was not written after all.
+    /// Notes size and checksum of what is complete. What is not there was not written after all; of what cannot be read it
+    /// stays unknown.
     fn close_files(&self, state: &mut State) {
         for name in std::mem::take(&mut state.open) {
             match Content::of(&self.path.join(&name)) {
@@ -181,7 +180,8 @@ impl OutputFolder {
                     let record = Record { by: self.verb.to_owned(), content: Some(content) };
                     state.manifest.files.insert(name, record);
                 }
-                Err(_) => drop(state.manifest.files.remove(&name)),
+                Err(error) if is_no_file(&error) => drop(state.manifest.files.remove(&name)),
+                Err(_) => {}
             }
         }
     }
@@ -193,6 +193,27 @@ impl OutputFolder {
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// Files of these names that the verb did not write, or that were changed since. Without a manifest, what is in its place is
+/// one of them.
+fn foreign_files<N: AsRef<str>>(
+    manifest: Option<&Manifest>,
+    folder: &Path,
+    verb: &str,
+    names: &[N],
+) -> Result<Vec<String>, JobError> {
+    let nothing = Manifest::default();
+    let known = manifest.unwrap_or(&nothing);
+    let mut files = Vec::new();
+    for name in names.iter().map(AsRef::as_ref).filter(|name| is_plain(name)) {
+        let is_foreign = known.is_foreign(folder, name, verb);
+        if is_foreign.map_err(|source| JobError::file(&folder.join(name), source))? {
+            files.push(name.to_owned());
+        }
+    }
+    files.extend(manifest.is_none().then(|| MANIFEST.to_owned()));
+    Ok(files)
 }
 
 #[cfg(test)]

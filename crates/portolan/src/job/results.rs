@@ -56,16 +56,21 @@ pub fn write_results<S: ResultSpace>(
     let map = &mapped.map;
     let memory_while_mapping = resident_and_peak_bytes();
     let mut files = Vec::new();
+    let whole = || map.whole().map_err(|source| JobError::file(folder.path(), source));
     // Trajectories that were known before are in the map; these files are of the recording. The trajectory comes
     // first: it is what took longest for its size, should there be no room for the rest.
     let trajectory = folder.file("trajectory.tum")?;
-    write_tum(&trajectory, &mapped.trajectory())?;
+    let poses = mapped.trajectory();
+    whole()?;
+    write_tum(&trajectory, &poses)?;
     if what.map {
         write_map(map, folder.add("map.pbstream", &mut files)?, true)?;
     }
     files.push(trajectory);
     if what.all_poses {
-        write_tum(&folder.add("all_poses.tum", &mut files)?, &mapped.scan_poses())?;
+        let poses = mapped.scan_poses();
+        whole()?;
+        write_tum(&folder.add("all_poses.tum", &mut files)?, &poses)?;
     }
     if !what.map {
         remark(observe, Remark::NoMap { left: folder.path().join("map.pbstream").exists() });
@@ -73,6 +78,7 @@ pub fn write_results<S: ResultSpace>(
         files.extend(draw(map, folder, observe)?);
     }
     let report = serde_json::to_vec_pretty(&report(mapped, seconds, memory_while_mapping))?;
+    whole()?;
     write_file(&folder.add("report.json", &mut files)?, &report)?;
     Ok(files)
 }
@@ -89,11 +95,10 @@ fn draw<S: ResultSpace>(
         remark(observe, Remark::StoppedBeforePictures);
         return Ok(Vec::new());
     }
-    let content = MapContent {
-        textures: &textures,
-        trajectories: &trajectory_lines(map),
-        constraints: &constraint_lines(map),
-    };
+    let trajectories = trajectory_lines(map);
+    map.whole().map_err(|source| JobError::file(folder.path(), source))?;
+    let content =
+        MapContent { textures: &textures, trajectories: &trajectories, constraints: &constraint_lines(map) };
     write_pictures(&content, folder, observe)
 }
 

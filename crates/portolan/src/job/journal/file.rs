@@ -4,14 +4,14 @@
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::ErrorKind::StorageFull;
-use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufReader, Read, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use portolan_atomic_file::require_room_for;
+use portolan_atomic_file::{Disk, require_room_for};
 
 use super::Identity;
 use crate::job::JobError;
@@ -28,7 +28,7 @@ const SYNCING: Duration = Duration::from_secs(15);
 /// What a journal holds.
 pub(super) struct Content {
     /// Open and locked.
-    file: File,
+    file: Disk<File>,
     pub identity: Identity,
     pub known: BTreeMap<u64, Vec<u64>>,
     /// Bytes up to the end of what is whole.
@@ -39,14 +39,15 @@ pub(super) struct Content {
 
 impl Content {
     /// The file, which ends where it is not whole any more.
-    pub fn cut(mut self) -> io::Result<File> {
+    pub fn cut(mut self) -> io::Result<Disk<File>> {
         self.file.set_len(self.whole)?;
         self.file.seek(SeekFrom::Start(self.whole))?;
         Ok(self.file)
     }
 }
 
-/// Reads a journal as far as it is whole.
+/// Reads a journal as far as it is whole. Where the disk cannot be read nothing is known of what follows, so that this is an
+/// error, and not the end.
 pub(super) fn read(path: &Path) -> Result<Content, JobError> {
     let failed = |source| JobError::file(path, source);
     let file =
@@ -56,15 +57,16 @@ pub(super) fn read(path: &Path) -> Result<Content, JobError> {
         })?;
     lock(&file).map_err(failed)?;
     let size = file.metadata().map_err(failed)?.len();
-    let mut reader = BufReader::new(&file);
+    let file = Disk(file);
+    let mut reader = BufReader::new(file.shared());
     let mut first = [0; MAGIC.len()];
-    let is_journal = reader.read_exact(&mut first).is_ok() && first == MAGIC;
-    let header = if is_journal { record(&mut reader, size) } else { None };
+    let is_journal = filled(&mut reader, &mut first).map_err(failed)? && first == MAGIC;
+    let header = if is_journal { record(&mut reader, size).map_err(failed)? } else { None };
     let identity = header.as_deref().and_then(|header| serde_json::from_slice(header).ok());
     let Some(identity) = identity else { return Err(JobError::NoJournal(path.to_owned())) };
     let mut known = BTreeMap::new();
     let mut whole = (MAGIC.len() + FRAME + header.map_or(0, |h| h.len())) as u64;
-    while let Some(bytes) = record(&mut reader, size) {
+    while let Some(bytes) = record(&mut reader, size).map_err(failed)? {
         let (words, rest) = bytes.as_chunks::<8>();
         let mut words = words.iter().map(|word| u64::from_le_bytes(*word));
         let (Some(question), []) = (words.next(), rest) else { break };
@@ -79,19 +81,30 @@ pub(super) fn read(path: &Path) -> Result<Content, JobError> {
 const FRAME: usize = 8;
 
 /// The next record; none if it is not whole.
-fn record(reader: &mut impl Read, most: u64) -> Option<Vec<u8>> {
+fn record(reader: &mut impl Read, most: u64) -> io::Result<Option<Vec<u8>>> {
     let mut frame = [0; FRAME];
-    reader.read_exact(&mut frame).ok()?;
+    if !filled(reader, &mut frame)? {
+        return Ok(None);
+    }
     let [a, b, c, d, checksum @ ..] = frame;
     let length = u32::from_le_bytes([a, b, c, d]);
     if length > LARGEST || u64::from(length) > most {
-        return None;
+        return Ok(None);
     }
     let mut content = Vec::new();
-    reader.take(u64::from(length)).read_to_end(&mut content).ok()?;
+    reader.take(u64::from(length)).read_to_end(&mut content)?;
     let is_whole = content.len() as u64 == u64::from(length)
         && crc32fast::hash(&content) == u32::from_le_bytes(checksum);
-    is_whole.then_some(content)
+    Ok(is_whole.then_some(content))
+}
+
+/// Fills these bytes; false where the file ends before.
+fn filled(reader: &mut impl Read, bytes: &mut [u8]) -> io::Result<bool> {
+    match reader.read_exact(bytes) {
+        Ok(()) => Ok(true),
+        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Ok(false),
+        Err(error) => Err(error),
+    }
 }
 
 fn add_record(bytes: &mut Vec<u8>, content: &[u8]) {
@@ -116,7 +129,7 @@ fn lock(file: &File) -> io::Result<()> {
 /// Writes records on a thread of its own, so that a slow disk holds nobody up.
 pub(super) struct Writer {
     pending: Arc<Pending>,
-    thread: Option<JoinHandle<io::Result<Option<PathBuf>>>>,
+    thread: Option<JoinHandle<io::Result<()>>>,
 }
 
 /// Records that are not written yet. The thread looks for them now and then: to wake it for each would take longer than
@@ -125,6 +138,8 @@ pub(super) struct Writer {
 struct Pending {
     bytes: Mutex<Vec<u8>>,
     is_closed: AtomicBool,
+    /// The file, once it can be resumed.
+    file: OnceLock<PathBuf>,
 }
 
 impl Pending {
@@ -137,7 +152,7 @@ impl Pending {
 enum Target {
     /// Not there yet; these bytes come first.
     New(Vec<u8>),
-    Open(File),
+    Open(Disk<File>),
 }
 
 impl Writer {
@@ -151,7 +166,7 @@ impl Writer {
     }
 
     /// Goes on with a file.
-    pub fn go_on(path: PathBuf, file: File, reserve: u64) -> Self {
+    pub fn go_on(path: PathBuf, file: Disk<File>, reserve: u64) -> Self {
         Self::start(path, Target::Open(file), reserve)
     }
 
@@ -160,8 +175,14 @@ impl Writer {
         let records = Arc::clone(&pending);
         let name = "journal".to_owned();
         let thread =
-            std::thread::Builder::new().name(name).spawn(move || write(path, target, &records, reserve));
+            std::thread::Builder::new().name(name).spawn(move || write(&path, target, &records, reserve));
         Self { pending, thread: thread.ok() }
+    }
+
+    /// Writes everything; the file, if there is one, and why it ends early, if it does.
+    pub fn close(mut self) -> (Option<PathBuf>, io::Result<()>) {
+        let written = self.written();
+        (self.pending.file.get().cloned(), written)
     }
 
     /// Adds an answer.
@@ -174,9 +195,10 @@ impl Writer {
         }
     }
 
-    /// Writes everything; the file, if there is one.
-    pub fn close(self) -> io::Result<Option<PathBuf>> {
-        let Some(thread) = self.thread else { return Err(io::Error::other("no thread could be started")) };
+    fn written(&mut self) -> io::Result<()> {
+        let Some(thread) = self.thread.take() else {
+            return Err(io::Error::other("no thread could be started"));
+        };
         self.pending.is_closed.store(true, Ordering::Release);
         thread.thread().unpark();
         thread.join().unwrap_or_else(|_| Err(io::Error::other("its thread has stopped")))
@@ -185,7 +207,10 @@ impl Writer {
 
 /// Writes what comes until it is closed, or until no more than the reserve would be free: results come before what only helps
 /// to make them. A job that takes less than a moment leaves no file.
-fn write(path: PathBuf, mut target: Target, pending: &Pending, reserve: u64) -> io::Result<Option<PathBuf>> {
+fn write(path: &Path, mut target: Target, pending: &Pending, reserve: u64) -> io::Result<()> {
+    if matches!(target, Target::Open(_)) {
+        pending.file.get_or_init(|| path.to_owned());
+    }
     let began = Instant::now();
     let (mut written_at, mut synced_at) = (began, began);
     loop {
@@ -198,9 +223,10 @@ fn write(path: PathBuf, mut target: Target, pending: &Pending, reserve: u64) -> 
         let bytes = std::mem::take(&mut *pending.lock());
         let is_long = began.elapsed() >= WRITING || matches!(target, Target::Open(_));
         if is_long && !bytes.is_empty() {
-            let file = opened(&path, &mut target)?;
+            let file = opened(path, &mut target)?;
+            pending.file.get_or_init(|| path.to_owned());
             let needed = reserve.saturating_add(bytes.len() as u64);
-            require_room_for(&path, needed).map_err(|no_room| io::Error::new(StorageFull, no_room))?;
+            require_room_for(path, needed).map_err(|no_room| io::Error::new(StorageFull, no_room))?;
             file.write_all(&bytes)?;
             if synced_at.elapsed() >= SYNCING {
                 file.sync_data()?;
@@ -209,17 +235,20 @@ fn write(path: PathBuf, mut target: Target, pending: &Pending, reserve: u64) -> 
         }
         written_at = Instant::now();
         if is_last {
-            return Ok(matches!(target, Target::Open(_)).then_some(path));
+            return Ok(());
         }
     }
 }
 
 /// The file; made if it is not there yet.
-fn opened<'a>(path: &Path, target: &'a mut Target) -> io::Result<&'a mut File> {
+fn opened<'a>(path: &Path, target: &'a mut Target) -> io::Result<&'a mut Disk<File>> {
     if let Target::New(header) = target {
         let mut file = create(path)?;
-        file.write_all(header)?;
-        file.sync_all()?;
+        if let Err(error) = file.write_all(header).and_then(|()| file.sync_all()) {
+            // Without a whole header it cannot be resumed.
+            let _ = std::fs::remove_file(path);
+            return Err(error);
+        }
         *target = Target::Open(file);
     }
     match target {
@@ -229,13 +258,14 @@ fn opened<'a>(path: &Path, target: &'a mut Target) -> io::Result<&'a mut File> {
 }
 
 /// Makes the file, or empties one of an earlier run. Anything else of this name stays.
-fn create(path: &Path) -> io::Result<File> {
+fn create(path: &Path) -> io::Result<Disk<File>> {
     let is_link = std::fs::symlink_metadata(path).is_ok_and(|found| !found.is_file());
     if is_link {
         return Err(io::Error::new(io::ErrorKind::AlreadyExists, "it is there already and no file"));
     }
-    let mut file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path)?;
+    let file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path)?;
     lock(&file)?;
+    let mut file = Disk(file);
     let mut first = Vec::new();
     Read::by_ref(&mut file).take(MAGIC.len() as u64).read_to_end(&mut first)?;
     if !MAGIC.starts_with(&first) {

@@ -17,8 +17,14 @@ fn left(answers: &[f64]) -> tempfile::TempDir {
     }
     std::thread::sleep(Duration::from_millis(1200));
     memory.keep(Some(u64::MAX), &0.0);
-    assert_eq!(journal.close().unwrap(), Some(folder.path().join(JOURNAL)));
+    assert_eq!(closed(&journal).unwrap(), Some(folder.path().join(JOURNAL)));
     folder
+}
+
+/// The file that a journal leaves, or why it could not write everything.
+fn closed(journal: &Journal) -> std::io::Result<Option<std::path::PathBuf>> {
+    let (file, written) = journal.close();
+    written.map(|()| file)
 }
 
 fn answers(journal: &Journal) -> Vec<f64> {
@@ -100,7 +106,7 @@ fn one_process_writes_at_a_time_and_foreign_files_stay() {
     let journal = Journal::begin(foreign.path(), &identity("usual"), 0);
     std::thread::sleep(Duration::from_millis(1100));
     journal.memory().keep(Some(1), &1.0);
-    assert!(journal.close().unwrap_err().to_string().contains("no journal"));
+    assert!(closed(&journal).unwrap_err().to_string().contains("no journal"));
     assert_eq!(fs::read_to_string(foreign.path().join(JOURNAL)).unwrap(), "my own notes");
 }
 
@@ -109,7 +115,7 @@ fn a_moment_leaves_no_file() {
     let folder = tempfile::tempdir().unwrap();
     let journal = Journal::begin(folder.path(), &identity("usual"), 0);
     journal.memory().keep(Some(1), &1.0);
-    assert_eq!(journal.close().unwrap(), None);
+    assert_eq!(closed(&journal).unwrap(), None);
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
 }
 
@@ -140,7 +146,121 @@ fn room_for_the_results_is_left() {
     journal.memory().keep(Some(1), &2.5);
     std::thread::sleep(Duration::from_millis(1200));
     journal.memory().keep(Some(2), &2.5);
-    let error = journal.close().unwrap_err();
+    let error = closed(&journal).unwrap_err();
     assert_eq!(error.kind(), std::io::ErrorKind::StorageFull);
     assert!(error.to_string().contains("are free"), "{error}");
+}
+
+/// What lets a process fail in which way: `begin` or `resume`, a folder, the number of the operation.
+const FAULT: &str = "PORTOLAN_JOURNAL_FAULT";
+
+/// Runs in a process of its own, because the disk is that of the whole process; prints how many operations there were, and
+/// what is said.
+#[test]
+fn a_process_whose_disk_fails() {
+    use portolan_atomic_file::faults::{Fault, fail_at, mend};
+    let Ok(wanted) = std::env::var(FAULT) else { return };
+    let [how, fault, at, folder] = wanted.splitn(4, ' ').collect::<Vec<_>>()[..] else { panic!("{wanted}") };
+    let fault = [Fault::Full, Fault::Broken, Fault::BrokenOnce, Fault::InterruptedAndShort]
+        .into_iter()
+        .find(|known| format!("{known:?}") == fault)
+        .unwrap();
+    let folder = std::path::Path::new(folder);
+    fail_at(at.parse().unwrap(), fault);
+    let journal = match how {
+        "begin" => Ok(Journal::begin(folder, &identity("usual"), 0)),
+        _ => Journal::resume(folder, &identity("usual"), 0).map(|(journal, _)| journal),
+    };
+    let said = match journal {
+        Err(error) => format!("refused: {error}"),
+        Ok(journal) => {
+            (10..13).for_each(|question| journal.memory().keep(Some(question), &(question as f64)));
+            if how == "begin" {
+                // The file appears after one second; the next writing would be one later.
+                std::thread::sleep(Duration::from_millis(1600));
+            }
+            (13..15).for_each(|question| journal.memory().keep(Some(question), &(question as f64)));
+            match journal.close() {
+                (file, Ok(())) => format!("written: {}", file.is_some()),
+                (file, Err(error)) => format!("lost: {}: {error}", file.is_some()),
+            }
+        }
+    };
+    let line = format!("{FAULT} {} {said}\n", mend());
+    std::io::Write::write_all(&mut std::io::stdout(), line.as_bytes()).unwrap();
+}
+
+/// A journal that is begun or resumed in a folder on a disk that fails: how many operations there were, and what was said.
+fn with_failing_disk(how: &str, fault: &str, at: u64, folder: &std::path::Path) -> std::process::Child {
+    std::process::Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "job::journal::tests::a_process_whose_disk_fails", "--nocapture"])
+        .env(FAULT, format!("{how} {fault} {at} {}", folder.display()))
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .unwrap()
+}
+
+/// How many operations there were, and what was said.
+fn said(process: std::process::Child) -> (u64, String) {
+    let output = String::from_utf8(process.wait_with_output().unwrap().stdout).unwrap();
+    let line = output.lines().find_map(|line| line.split_once(&format!("{FAULT} "))).unwrap_or_default().1;
+    let (operations, said) = line.split_once(' ').unwrap_or_else(|| panic!("{output}"));
+    (operations.parse().unwrap(), said.to_owned())
+}
+
+/// Answers of [`a_process_whose_disk_fails`] in a journal.
+fn later_answers(journal: &Journal) -> Vec<f64> {
+    (10..15).filter_map(|question| journal.memory().recall(Some(question))).collect()
+}
+
+const LATER: [f64; 5] = [10.0, 11.0, 12.0, 13.0, 14.0];
+
+#[test]
+fn journals_on_a_disk_that_fails_are_resumed_as_far_as_they_are_whole() {
+    for how in ["begin", "resume"] {
+        let before = left(&[1.5, 2.5]);
+        let whole = fs::read(before.path().join(JOURNAL)).unwrap();
+        // An older journal is replaced, or resumed.
+        let prepared = || {
+            let folder = tempfile::tempdir().unwrap();
+            fs::write(folder.path().join(JOURNAL), &whole).unwrap();
+            folder
+        };
+        let folder = prepared();
+        let (operations, good) = said(with_failing_disk(how, "Full", u64::MAX, folder.path()));
+        assert!(operations >= 4 && good == "written: true", "{how}: {operations}, {good}");
+        let cases = ["Full", "Broken", "BrokenOnce"].into_iter();
+        let cases = cases.flat_map(|fault| (0..operations).map(move |at| (fault, at)));
+        let cases = cases.chain([("InterruptedAndShort", 0)]).map(|(fault, at)| {
+            let folder = prepared();
+            (fault, at, with_failing_disk(how, fault, at, folder.path()), folder)
+        });
+        // All at once: they wait for the journal to be written.
+        for (fault, at, process, folder) in cases.collect::<Vec<_>>() {
+            let (case, (_, said)) = (format!("{how}, {fault} at {at}"), said(process));
+            let path = folder.path().join(JOURNAL);
+            assert_eq!(said.starts_with("written"), fault == "InterruptedAndShort", "{case}: {said}");
+            let is_named = said.contains(JOURNAL) || said.starts_with("lost");
+            assert!(said.starts_with("written") || is_named && said.contains("os error"), "{case}: {said}");
+            if said.starts_with("refused") {
+                // Nothing is known of it: it stays.
+                assert!(fs::read(&path).unwrap() == whole, "{case}: {said}");
+            }
+            match Journal::resume(folder.path(), &identity("usual"), 0) {
+                Ok((journal, _)) => {
+                    let (old, new) = (answers(&journal), later_answers(&journal));
+                    assert!(old == [1.5, 2.5] || how == "begin" && old.is_empty(), "{case}: {old:?}");
+                    assert!(LATER.starts_with(&new), "{case}: {new:?}");
+                    assert!(!said.starts_with("lost: false") || old.len() == 2, "{case}: {said}");
+                }
+                Err(error) => {
+                    assert!(
+                        matches!(error, JobError::NoJournal(_)) && said.starts_with("lost: false"),
+                        "{case}: {error}, {said}"
+                    );
+                    assert!(!path.exists(), "{case}: {said}");
+                }
+            }
+        }
+    }
 }

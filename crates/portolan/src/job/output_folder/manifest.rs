@@ -5,6 +5,7 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Component, Path};
 
+use portolan_atomic_file::Disk;
 use serde::{Deserialize, Serialize};
 
 /// Its name.
@@ -43,10 +44,10 @@ pub(super) struct Content {
 }
 
 impl Content {
-    /// Of a file.
+    /// Of a file; `NotFound` or `InvalidInput` if there is none.
     pub fn of(path: &Path) -> io::Result<Self> {
-        let mut file = File::open(path)?;
-        if !file.metadata()?.is_file() {
+        let mut file = Disk(File::open(path)?);
+        if !file.0.metadata()?.is_file() {
             return Err(io::ErrorKind::InvalidInput.into());
         }
         let (mut hasher, mut bytes, mut buffer) = (crc32fast::Hasher::new(), 0, vec![0; 1 << 18]);
@@ -63,35 +64,63 @@ impl Content {
     }
 }
 
+/// Whether there is no file, rather than one that cannot be read.
+pub(super) fn is_no_file(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::InvalidInput)
+}
+
 impl Record {
     /// Whether the file is what was written.
-    pub fn is_of(&self, path: &Path) -> bool {
+    ///
+    /// # Errors
+    /// It cannot be read, so that nobody knows.
+    pub fn is_of(&self, path: &Path) -> io::Result<bool> {
         let size = path.metadata().map(|data| data.len()).ok();
         // Sizes are compared first: files may be large.
-        self.content
-            .is_some_and(|content| Some(content.bytes) == size && Content::of(path).ok() == self.content)
+        let Some(content) = self.content.filter(|content| Some(content.bytes) == size) else {
+            return Ok(false);
+        };
+        match Content::of(path) {
+            Ok(found) => Ok(found == content),
+            Err(error) if is_no_file(&error) => Ok(false),
+            Err(error) => Err(error),
+        }
     }
 }
 
 impl Manifest {
     /// That of a folder, empty if there is none; none if there is something else in its place.
-    pub fn read(folder: &Path) -> Option<Self> {
-        match File::open(folder.join(MANIFEST)) {
-            Ok(file) => serde_json::from_reader(io::BufReader::new(file.take(LARGEST))).ok(),
-            Err(error) => (error.kind() == io::ErrorKind::NotFound).then(Self::default),
+    ///
+    /// # Errors
+    /// It cannot be read.
+    pub fn read(folder: &Path) -> io::Result<Option<Self>> {
+        let path = folder.join(MANIFEST);
+        let file = match File::open(&path) {
+            Ok(file) if path.is_file() => Disk(file),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Some(Self::default())),
+            _ => return Ok(None),
+        };
+        match serde_json::from_reader(io::BufReader::new(file.take(LARGEST))) {
+            Ok(manifest) => Ok(Some(manifest)),
+            Err(error) if error.is_io() => Err(error.into()),
+            Err(_) => Ok(None),
         }
     }
 
     /// Whether there is a file of this name that the verb did not write, or that was changed since.
-    pub fn is_foreign(&self, folder: &Path, name: &str, verb: &str) -> bool {
+    ///
+    /// # Errors
+    /// It cannot be read, so that nobody knows.
+    pub fn is_foreign(&self, folder: &Path, name: &str, verb: &str) -> io::Result<bool> {
         let path = folder.join(name);
-        let is_there = std::fs::symlink_metadata(&path).is_ok();
-        let was_written = |record: &&Record| record.by == verb;
-        is_there
-            && self.files.get(name).filter(was_written).is_none_or(|record| {
-                // A run that was killed as it wrote the file left it whole, or what was there before.
-                record.content.is_some() && !record.is_of(&path)
-            })
+        if std::fs::symlink_metadata(&path).is_err() {
+            return Ok(false);
+        }
+        match self.files.get(name).filter(|record| record.by == verb) {
+            // A run that was killed as it wrote the file left it whole, or what was there before.
+            Some(record) => Ok(record.content.is_some() && !record.is_of(&path)?),
+            None => Ok(true),
+        }
     }
 }
 
