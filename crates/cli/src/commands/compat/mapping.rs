@@ -8,6 +8,7 @@ use portolan_pbstream::MapReader;
 
 use super::log;
 use crate::error::{CliError, Outcome};
+use crate::output::write_file;
 use crate::{Cli, GlobalArgs};
 
 const FLAGS: KnownFlags = KnownFlags {
@@ -75,12 +76,19 @@ pub fn run(arguments: &[String], global: &GlobalArgs) -> Result<Outcome, CliErro
     }
     log::info(&format!("Writing state to '{}'...", output.display()));
     let named = match known {
-        Some(map) if bags.is_empty() => std::fs::copy(map, &output).map(drop),
+        Some(map) if bags.is_empty() => return copy(&map, &output).map(|()| outcome),
         Some(map) => std::fs::rename(map, &output),
         None => Ok(()),
     };
     named.map_err(|source| CliError::File { path: output.clone(), source })?;
     Ok(outcome)
+}
+
+/// Copies a map, which may be the output itself.
+fn copy(map: &Path, output: &Path) -> Result<(), CliError> {
+    let read = |source| CliError::File { path: map.to_owned(), source };
+    let mut source = std::fs::File::open(map).map_err(read)?;
+    write_file(output, |out| std::io::copy(&mut source, out).map(drop))
 }
 
 /// Where the map goes: by itself beside the first bag.
@@ -125,4 +133,23 @@ fn count_frozen(flags: &Flags, state: Option<&Path>) -> Result<usize, CliError> 
     let Some(path) = state.filter(|_| flags.is_on("load_frozen_state")) else { return Ok(0) };
     let reader = MapReader::open(path).map_err(|e| CliError::in_file(path, e))?;
     Ok(reader.pose_graph().trajectory.len())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_state_copied_over_itself_stays_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let [state, other] = ["state", "other"].map(|name| folder.path().join(name));
+        std::fs::write(&state, "a map").unwrap();
+        copy(&state, &state).unwrap();
+        copy(&state, &other).unwrap();
+        assert_eq!(std::fs::read_to_string(&state).unwrap(), "a map");
+        assert_eq!(std::fs::read_to_string(&other).unwrap(), "a map");
+        let error = copy(&folder.path().join("none"), &other).unwrap_err().to_string();
+        assert!(error.contains("none"), "{error}");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2);
+    }
 }
