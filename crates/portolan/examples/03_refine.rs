@@ -34,7 +34,10 @@ pub fn main() -> Result<(), Box<dyn Error>> {
     let mut out = std::io::stdout();
     let mut observe = |progress: &RefineProgress| {
         // False ends it.
-        writeln!(out, "{}: points scatter by {:.4} m", progress.stage, progress.rms).is_ok()
+        match progress.rms {
+            Some(rms) => writeln!(out, "{}: points scatter by {rms:.4} m", progress.stage).is_ok(),
+            None => writeln!(out, "{}", progress.stage).is_ok(),
+        }
     };
     let options = ContinuousOptions { max_rounds: 4, ..ContinuousOptions::default() };
     let refined = refine_continuous(&points, &input, &options, &mut observe)?;

@@ -30,7 +30,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let poses: Vec<_> = trajectory.poses().iter().map(|p| (p.time, p.map_from_tracking)).collect();
     let mut observe = |p: &RefineProgress| {
         let seconds = start.elapsed().as_secs_f64();
-        eprintln!("{seconds:.2} s: {}: scatter {:.4} m, shift {:.4} m", p.stage, p.rms, p.shift);
+        let metres =
+            |value: Option<f64>| value.map_or("unknown".to_owned(), |metres| format!("{metres:.4} m"));
+        eprintln!("{seconds:.2} s: {}: scatter {}, shift {}", p.stage, metres(p.rms), metres(p.shift));
         true
     };
     let refined = match method {

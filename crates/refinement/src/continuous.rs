@@ -91,7 +91,7 @@ const ROUGH: f64 = 1.12;
 const SHORT_WINDOW: f64 = 0.25;
 
 /// Bends a trajectory (`world_from_tracking` in strictly ascending order of time) until the points fit
-/// together. `observe` is called after each step and stops by returning false; what is reached is kept. The
+/// together. `observe` is called before and after each step and stops by returning false; what is reached is kept. The
 /// result is the same for any number of threads.
 ///
 /// # Errors
@@ -158,6 +158,9 @@ fn reaches(first: f64) -> Vec<f64> {
     (0..stages).map(|stage| (first * REACH_RATIO.powi(stage)).max(LAST_REACH)).collect()
 }
 
+/// What takes a while before steps.
+const SURFACES: &str = "looking for surfaces";
+
 /// Pairs up to this far apart tell whether loops are closed, metres.
 fn self_gate(reach: f64) -> f64 {
     reach.min(NEAR_REACH)
@@ -216,7 +219,13 @@ impl Run<'_, '_> {
     fn coarse(&mut self) -> Result<(), RefineError> {
         let (window, noise) = (self.options.window, self.options.odometry);
         let near = self.options.reach.min(NEAR_REACH);
+        if !self.begin(SURFACES, 0.0) {
+            return Ok(());
+        }
         let mut map = self.extract(window)?;
+        if !self.begin(SURFACES, 0.0) {
+            return Ok(());
+        }
         let short = self.extract(SHORT_WINDOW * window)?;
         let input = self.session.trajectory.clone();
         if short.planar_share() > ROUGH * map.planar_share() {
@@ -234,6 +243,9 @@ impl Run<'_, '_> {
     /// the input. If loops are not closed from near, it is tried again from as far as drift may have gone.
     fn close_loops(&mut self) -> Result<(), RefineError> {
         let window = self.options.window;
+        if !self.begin(SURFACES, 0.2) {
+            return Ok(());
+        }
         let map = self.extract(window)?;
         let before = self.session.trajectory.clone();
         let near = Stage { window, horizon: None, reach: self.options.reach.min(NEAR_REACH) };
@@ -242,6 +254,9 @@ impl Run<'_, '_> {
             let session = &run.session;
             agreement(&map, &session.points.corrections, &session.trajectory, self_gate(run.options.reach))
         };
+        if !self.begin("comparing passes", 0.3) {
+            return Ok(());
+        }
         let (share, weight) = agreement(self);
         if self.options.reach <= NEAR_REACH || share > CLOSED {
             return Ok(());
@@ -297,6 +312,24 @@ impl Run<'_, '_> {
         Ok(())
     }
 
+    /// Tells that something is begun that takes a while; whether to go on.
+    fn begin(&mut self, stage: &str, share: f64) -> bool {
+        let last = self.session.report.steps.last();
+        let (rms, shift) = (last.map(|step| step.rms), last.map(|step| step.shift));
+        self.tell(stage.to_owned(), share, (rms, shift))
+    }
+
+    /// Tells how far it is; whether to go on. Once it was stopped nobody is asked again.
+    fn tell(&mut self, stage: String, share: f64, (rms, shift): (Option<f64>, Option<f64>)) -> bool {
+        let report = &mut self.session.report;
+        if report.stopped {
+            return false;
+        }
+        let entropy = report.sharpness_by_round.last().map(|s| s.mean_map_entropy);
+        report.stopped |= !(self.observe)(&RefineProgress { stage, share, rms, shift, entropy });
+        !report.stopped
+    }
+
     /// Notes a step and tells it; whether to go on.
     fn record(&mut self, step: RefineStep, share: f64) -> bool {
         self.session.report.steps.push(step);
@@ -305,10 +338,6 @@ impl Run<'_, '_> {
             "coarse" => format!("drift within {:.2} m", step.reach),
             _ => format!("drift within {:.2} m of the seconds before", step.reach),
         };
-        let entropy = self.session.report.sharpness_by_round.last().map(|s| s.mean_map_entropy);
-        let go_on =
-            (self.observe)(&RefineProgress { stage, share, rms: step.rms, shift: step.shift, entropy });
-        self.session.report.stopped |= !go_on;
-        go_on
+        self.tell(stage, share, (Some(step.rms), Some(step.shift)))
     }
 }

@@ -77,8 +77,8 @@ pub fn refine_semi_rigid(
                     _ => format!("{} links of sections", step.terms),
                 },
                 share: (steps as f64 / usual).min(0.99),
-                rms: step.rms,
-                shift: step.shift,
+                rms: Some(step.rms),
+                shift: Some(step.shift),
                 entropy: session.report.sharpness_by_round.last().map(|s| s.mean_map_entropy),
             })
         };

@@ -160,14 +160,21 @@ fn stopping_keeps_what_is_reached() {
     let truth = poses(circles, 8.0);
     let points = scan(&furnished(), circles, 8.0, 60);
     let input = disturbed(&truth, 0.3, 0.01);
-    let mut steps = 0;
-    let mut observe = |_: &RefineProgress| {
-        steps += 1;
-        steps < 4
-    };
-    let refined = refine_continuous(&points, &input, &ContinuousOptions::default(), &mut observe).unwrap();
-    assert!(refined.report.stopped && refined.report.steps.len() == 4);
-    assert!(errors(&truth, &corrected(&refined, &input)).0 <= errors(&truth, &input).0);
+    for asked in 1..=8 {
+        let mut left = asked;
+        let mut observe = |_: &RefineProgress| {
+            left -= 1;
+            left > 0
+        };
+        let refined =
+            refine_continuous(&points, &input, &ContinuousOptions::default(), &mut observe).unwrap();
+        // It asks before work that takes a while, too, and no more once it was told to stop.
+        assert!(refined.report.stopped && left == 0 && refined.report.steps.len() < asked, "{asked}");
+        let error = errors(&truth, &corrected(&refined, &input)).0;
+        assert!(error <= errors(&truth, &input).0, "{asked}: {error}");
+        let moved = errors(&input, &corrected(&refined, &input)).0;
+        assert!(!refined.report.steps.is_empty() || moved < 1e-9, "{asked}: {moved}");
+    }
 }
 
 #[test]

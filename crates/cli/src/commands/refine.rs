@@ -384,8 +384,12 @@ fn refine_with_progress(
     let mut observe = |state: &RefineProgress| {
         let left = start.elapsed().as_secs_f64() * (1.0 / state.share.max(0.01) - 1.0);
         let sharpness = state.entropy.map_or_else(String::new, |e| format!(", entropy {e:.3}"));
-        let message =
-            format!("{}: scatter {:.1} mm{sharpness}, about {left:.0} s left", state.stage, 1e3 * state.rms);
+        let message = match state.rms {
+            Some(rms) => {
+                format!("{}: scatter {:.1} mm{sharpness}, about {left:.0} s left", state.stage, 1e3 * rms)
+            }
+            None => state.stage.clone(),
+        };
         progress.update((1000.0 * state.share) as u64, 1000, message);
         !interrupt::interrupted()
     };

@@ -142,7 +142,6 @@ impl Contents {
 
 #[track_caller]
 fn assert_at_least(least: u64, operations: u64) {
-    eprintln!("COUNT {operations} {least} {}", std::panic::Location::caller());
     assert!(operations >= least, "{operations} operations, expected at least {least}");
 }
 

@@ -14,14 +14,14 @@ use portolan_spatial::Sharpness;
 /// How far a refinement is.
 #[derive(Clone, Debug)]
 pub struct RefineProgress {
-    /// What was just done, for people.
+    /// What was just done, or is begun, for people.
     pub stage: String,
     /// Share that is done, 0 to 1; an estimate, because stages end when nothing moves any more.
     pub share: f64,
-    /// Root mean square distance of points (or of paired patches) across their surfaces, metres.
-    pub rms: f64,
+    /// Root mean square distance of points (or of paired patches) across their surfaces after the last step, metres; none before.
+    pub rms: Option<f64>,
     /// Largest shift of the last step, metres.
-    pub shift: f64,
+    pub shift: Option<f64>,
     /// Mean map entropy after the last round ([`RefineReport::sharpness_by_round`]); lower is sharper.
     pub entropy: Option<f64>,
 }

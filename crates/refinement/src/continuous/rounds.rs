@@ -11,7 +11,7 @@ use super::other_sensors::OtherSensors;
 use super::report::RefineStep;
 use super::surfels::SurfelMap;
 use super::unknowns::{PER_SENSOR, PRIOR, SensorUnknowns, believable_deviations};
-use super::{DenseTrajectory, Knots, Run};
+use super::{DenseTrajectory, Knots, Run, SURFACES};
 use crate::RefineError;
 
 /// Seconds between the knots of the first round.
@@ -29,6 +29,11 @@ const SENSOR_RESTS: [f64; 3] = [0.001, 0.0003, 0.0005];
 const LAST_ROUNDS: usize = 2;
 /// Usual number of rounds, for progress.
 const USUAL_ROUNDS: f64 = 4.0;
+
+/// The share that is done after so many rounds.
+fn progress(rounds: f64) -> f64 {
+    0.4 + 0.6 * (rounds / USUAL_ROUNDS).min(0.99)
+}
 
 /// The rounds of a run.
 pub(super) struct Rounds<'r, 'a, 'b> {
@@ -74,7 +79,7 @@ impl<'r, 'a, 'b> Rounds<'r, 'a, 'b> {
         let options = self.run.options;
         let mut last = None;
         for round in first..first + number {
-            if self.run.session.report.stopped {
+            if self.run.session.report.stopped || !self.run.begin(SURFACES, progress(round as f64)) {
                 return Ok(None);
             }
             let is_first = round == 0;
@@ -83,6 +88,9 @@ impl<'r, 'a, 'b> Rounds<'r, 'a, 'b> {
             let knots = Knots::new(self.run.session.trajectory.duration(), spacing);
             let before = self.run.session.trajectory.clone();
             let map = self.run.extract(options.window)?;
+            if !self.run.begin(SURFACES, progress(round as f64)) {
+                return Ok(None);
+            }
             let sensors_moved = self.steps(&map, &knots, round)?;
             if self.run.session.report.stopped {
                 return Ok(None);
@@ -132,7 +140,7 @@ impl<'r, 'a, 'b> Rounds<'r, 'a, 'b> {
                 shift: done.shift,
             };
             let rounds = round as f64 + (step + 1) as f64 / STEPS as f64;
-            let go_on = self.run.record(record, 0.4 + 0.6 * (rounds / USUAL_ROUNDS).min(0.99));
+            let go_on = self.run.record(record, progress(rounds));
             if !go_on || (done.shift < STEPS_REST && !moved) {
                 break;
             }

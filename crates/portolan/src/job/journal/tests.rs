@@ -193,7 +193,8 @@ fn a_process_whose_disk_fails() {
 /// A journal that is begun or resumed in a folder on a disk that fails: how many operations there were, and what was said.
 fn with_failing_disk(how: &str, fault: &str, at: u64, folder: &std::path::Path) -> std::process::Child {
     std::process::Command::new(std::env::current_exe().unwrap())
-        .args(["--exact", "job::journal::tests::a_process_whose_disk_fails", "--nocapture"])
+        .args(["--exact", "job::journal::tests::a_process_whose_disk_fails"])
+        .env("RUST_TEST_NOCAPTURE", "1")
         .env(FAULT, format!("{how} {fault} {at} {}", folder.display()))
         .stdout(std::process::Stdio::piped())
         .spawn()
