@@ -189,7 +189,8 @@ fn who_sees_nothing_is_carried_along_and_not_found_anywhere_else() {
     let found = find(open_all(&[bag]).unwrap().as_ref(), None);
     let hidden = found.estimates.iter().filter(|e| e.reason == Reason::PlaceHidden);
     let (hidden, states) = (hidden.map(|e| e.state).collect::<Vec<_>>(), found.state_counts());
-    assert!((75..=85).contains(&hidden.len()), "{}", hidden.len());
+    // All that are covered, and those of the second in which the place becomes certain again.
+    assert!((80..=90).contains(&hidden.len()), "{}", hidden.len());
     assert!(hidden.contains(&State::Uncertain) && !hidden.contains(&State::Lost), "{states:?}");
     assert_eq!(found.estimates.last().map(|e| e.state), Some(State::Localised));
     let largest = known().errors(&today, &found).iter().map(|e| e.1).fold(0.0, f64::max);
