@@ -103,9 +103,13 @@ impl<S: Space> PoseGraph<S> {
     /// What odometry says of the first node after a gap; none where something else ties it.
     fn tie_over_gap(&self, id: TrajectoryId) -> Option<Constraint> {
         let gap = self.state.trajectories.get(&id)?.after_gap?;
-        if self.state.connectivity.are_connected(id, gap.before) {
-            return None;
-        }
+        let is_tied = self.state.connectivity.are_connected(id, gap.before);
+        if is_tied { None } else { self.odometry_over_gap(id) }
+    }
+
+    /// What odometry says of the first node after a gap.
+    pub(super) fn odometry_over_gap(&self, id: TrajectoryId) -> Option<Constraint> {
+        let gap = self.state.trajectories.get(&id)?.after_gap?;
         let (submap_id, submap) = of_trajectory(&self.state.submaps, gap.before).next_back()?;
         let (node_id, node) = of_trajectory(&self.problem.nodes, id).next()?;
         Some(Constraint {
@@ -224,6 +228,52 @@ mod tests {
         assert!(is_odometry_believed(true));
         // A gap without scans: odometry is used for searching, and matches have to agree all the same.
         assert!(!is_odometry_believed(false));
+    }
+
+    /// Where the part after a gap ends up, metres, that odometry puts 20 m ahead of a room of 6 by 5 m, and whose three matches put it into that room;
+    /// its scans are of a room of this size.
+    fn place_of(room: (f32, f32)) -> f64 {
+        let mut graph = PoseGraph::<Space2d>::new(Options::for_2d().map_builder.pose_graph);
+        graph.policy.min_agreeing = 3;
+        graph.policy.loops.drift = 0.05;
+        let [before, after] = [0, 1].map(TrajectoryId);
+        graph.add_trajectory(before, None);
+        graph.add_node(before, inserted((6.0, 5.0), 0.0, 0.0));
+        let bridge = OdometryBridge { translation: 0.5, rotation: 0.1, is_contradicted: false };
+        graph.begin_piece(before, Vec::new(), after, &Rigid3::identity(), Some(bridge));
+        let found = [0, 1, 2].map(|i| {
+            let x = 1.5 * f64::from(i) - 1.5;
+            let data = NodeData {
+                time: Time::from_unix_seconds(10.0 + f64::from(i)),
+                local_from_tracking: Rigid3::translation(20.0 + x, 0.0, 0.0),
+                ..node(room, (x as f32, 0.0))
+            };
+            let (finished, centre) = (Some(Arc::new(submap(room))), Rigid3::translation(20.0, 0.0, 0.0));
+            let submaps = vec![InsertionSubmap { index: i, local_from_submap: centre, finished }];
+            Constraint {
+                submap_id: SubmapId::new(before, 0),
+                node_id: graph.add_node(after, InsertedNode::new(Arc::new(data), submaps)),
+                submap_from_node: Rigid3::translation(x, 0.0, 0.0),
+                translation_weight: 500.0,
+                rotation_weight: 1600.0,
+                tag: ConstraintTag::InterSubmap,
+                open: None,
+                score: Some(0.8),
+            }
+        });
+        let middle = found[1].node_id;
+        graph.add_found(found.to_vec());
+        assert!(graph.state().connectivity.are_connected(before, after));
+        graph.run_final_optimization();
+        assert!(graph.state().connectivity.are_connected(before, after));
+        graph.state().nodes.get(&middle).unwrap().map_from_tracking.translation.vector.x
+    }
+
+    #[test]
+    fn places_far_from_odometry_are_believed_if_scans_confirm_them() {
+        let (same_room, another_room) = (place_of((6.0, 5.0)), place_of((9.0, 7.0)));
+        assert!(same_room.abs() < 0.05, "{same_room}");
+        assert!((another_room - 20.0).abs() < 0.05, "{another_room}");
     }
 
     #[test]

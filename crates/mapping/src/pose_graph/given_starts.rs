@@ -84,7 +84,7 @@ impl<S: Space> PoseGraph<S> {
     }
 
     /// Leaves trajectories without a place in the rest of the map.
-    fn forget_ties_of(&mut self, new: &BTreeSet<TrajectoryId>) {
+    pub(super) fn forget_ties_of(&mut self, new: &BTreeSet<TrajectoryId>) {
         self.problem.given_starts.retain(|node_id, _| !new.contains(&node_id.trajectory_id));
         self.state.constraints.retain(|constraint| {
             new.contains(&constraint.node_id.trajectory_id)

@@ -8,6 +8,7 @@
 mod agreement;
 mod consistency;
 mod contradictions;
+mod doubted_gaps;
 mod drift;
 mod editing;
 mod extension;
@@ -364,6 +365,7 @@ impl<S: Space> PoseGraph<S> {
             self.run_optimization();
         }
         self.doubt_given_starts();
+        self.doubt_places_after_gaps();
         self.search_missed();
         if self.settle_open_loop_closures() {
             self.run_optimization();
