@@ -1,14 +1,14 @@
-//! How the IMU turned, as a function of its own time.
+//! Integrates the rotation of the IMU as a function of its own time.
 
 use portolan_geometry::{Quaternion, Time, Vector3, quaternion_from_angle_axis};
 use portolan_sensor::ImuData;
 
-/// Without a sample for so long nothing is known of the turn, seconds.
+/// Interval without samples above which the rotation is unknown, seconds.
 const MAX_GAP: f64 = 0.1;
-/// So many samples are kept: eight minutes of 1 kHz.
+/// Maximum number of samples that are kept: eight minutes at 1 kHz.
 const MAX_SAMPLES: usize = 500_000;
 
-/// Rates of turn summed up.
+/// Integrated angular velocities.
 #[derive(Debug, Default)]
 pub(super) struct Gyroscope {
     samples: Vec<Sample>,
@@ -18,14 +18,14 @@ pub(super) struct Gyroscope {
 struct Sample {
     time: Time,
     rate: Vector3,
-    /// The frame of the IMU then in that of the first sample.
+    /// Orientation of the IMU at this time in its frame at the first sample.
     rotation: Quaternion,
-    /// How many gaps there were before.
+    /// Number of gaps before this sample.
     gaps: u32,
 }
 
 impl Gyroscope {
-    /// Takes a sample. One that is not later than the last, or no number, is left out.
+    /// Takes a sample. One that is not later than the last, or not finite, is left out.
     pub fn add(&mut self, imu: &ImuData) {
         let (time, rate) = (imu.time, imu.angular_velocity);
         if self.samples.len() >= MAX_SAMPLES || !rate.iter().all(|v| v.is_finite()) {
@@ -38,7 +38,7 @@ impl Gyroscope {
                 if seconds <= 0.0 {
                     return;
                 }
-                // Half of it at each rate: a sample is of its own time, not of that after it.
+                // Trapezoidal rule: a sample is measured at its own time, not held until the next.
                 let turn = quaternion_from_angle_axis(&((last.rate + rate) * (0.5 * seconds)));
                 let rotation = Quaternion::new_normalize((last.rotation * turn).into_inner());
                 Sample { time, rate, rotation, gaps: last.gaps + u32::from(seconds > MAX_GAP) }
@@ -58,7 +58,7 @@ impl Gyroscope {
         self.samples.last().map(|sample| sample.time)
     }
 
-    /// From the frame at `to` to that at `from`; none where that is not known all along.
+    /// Rotation from the frame at `to` to that at `from`; none where it is not known throughout.
     pub fn turn(&self, from: Time, to: Time) -> Option<Quaternion> {
         let ((a, gaps_a), (b, gaps_b)) = (self.at(from)?, self.at(to)?);
         (gaps_a == gaps_b).then(|| a.inverse() * b)

@@ -1,10 +1,11 @@
-//! The offset of the clock of a lidar against that of an IMU, from turns about all axes.
+//! Estimates the offset of the clock of a lidar against that of an IMU, from rotations about all axes.
 //!
-//! Turns over 0.3 s that sweeps tell are compared with those that the gyroscope shows some time later. The lag at
-//! which the median difference is smallest is where least squares begin, in the lag, the bias of the gyroscope,
-//! and a matrix that may be a little more or less than the identity: sensors are mounted a degree or two off, and
-//! scales are not exact. How sure the lag is, leaving out parts of the recording in turn tells (block jackknife): its
-//! error over its standard deviation is about that of Student's t with [`BLOCKS`] − 1 degrees of freedom.
+//! Rotations over 0.3 s from sweeps are compared with those that the gyroscope measures some time later.
+//! Least squares start at the lag with the smallest median difference. Their unknowns are the lag, the bias
+//! of the gyroscope, and a matrix near the identity: sensors are mounted with an error of a degree or two,
+//! and scales are not exact. The uncertainty of the lag comes from leaving out parts of the recording in
+//! turn (block jackknife): the error over its standard deviation is approximately distributed as Student's t
+//! with [`BLOCKS`] − 1 degrees of freedom.
 
 use portolan_geometry::nalgebra::{Matrix3, SMatrix, SVector};
 use portolan_geometry::{Duration, Quaternion, Time, Vector3, angle_axis_from_quaternion};
@@ -12,59 +13,64 @@ use portolan_geometry::{Duration, Quaternion, Time, Vector3, angle_axis_from_qua
 use super::gyroscope::Gyroscope;
 use super::tracker::TrackedSweep;
 
-/// Turns are over so long a time, seconds: about half a step, so that turning to and fro is not lost.
+/// Duration of the rotations that are compared, seconds: about half a step, so that swaying does not cancel
+/// out.
 const LENGTH: f64 = 0.3;
-/// A turn over more than so much longer is left out, seconds.
+/// Excess over this duration above which a rotation is left out, seconds.
 const MAX_EXCESS: f64 = 0.2;
-/// Lags that are tried: up to so many seconds, and so densely.
+/// Range of the lags that are tried, to each side, seconds.
 const REACH: f64 = 0.5;
+/// Step of the lags that are tried, seconds.
 const STEP: f64 = 0.01;
-/// Turns of less than this fraction of large ones (19 of 20 are smaller) are none: it may rest most of the time. Steps
-/// turn a tenth as far as corners, and what is matched at rest a thousandth.
+/// Fraction of large rotations (19 of 20 are smaller) below which a rotation counts as rest: the platform
+/// may be at rest most of the time. Steps rotate a tenth as much as corners, and matching errors at rest a
+/// thousandth.
 const SMALL_SHARE: f64 = 0.02;
-/// So many turns are needed.
+/// Minimum number of rotations.
 pub(super) const ENOUGH_TURNS: usize = 60;
-/// Parts of the recording of which each is left out once.
+/// Number of parts of the recording, each of which is left out once.
 pub(super) const BLOCKS: usize = 20;
-/// Least squares are repeated so often with new weights.
+/// Number of iterations of least squares with new weights.
 const ITERATIONS: u32 = 8;
-/// Differences beyond so many times their usual size count less.
+/// Limit above which differences count less, in multiples of their usual size.
 const LIMIT: f64 = 3.0;
-/// How far mounting and scale of an IMU may be off, radians and share (standard deviation) …
+/// Standard deviation of the prior of mounting and scale of an IMU, radians and fraction.
 const MOUNTING_SIGMA: f64 = 0.03;
-/// … and its mounting where nothing else is asked, so that it is not drawn to what the transforms say.
+/// Standard deviation of the prior of the mounting where only the mounting is estimated, radians: so wide
+/// that it is not drawn to the transforms.
 const WIDE_MOUNTING_SIGMA: f64 = 0.5;
-/// Matches are wrong by so much besides what they say, radians: surfaces are not planes.
+/// Error of matches in excess of their covariance, radians: surfaces are not exactly planar.
 const MATCH_ERROR: f64 = 1e-4;
-/// Differences may have such a fraction of the turns themselves (of root mean squares), or the two do not turn alike.
+/// Differences as a fraction of the rotations themselves (of root mean squares), above which the sensors do
+/// not rotate alike.
 const MAX_SHARE: f64 = 0.5;
 
-/// Lag, three of the bias of the gyroscope, nine of the matrix.
+/// Lag, three for the bias of the gyroscope, nine for the matrix.
 const UNKNOWNS: usize = 13;
 type Normal = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 type Unknowns = SVector<f64, UNKNOWNS>;
 
-/// An offset of clocks, and how the IMU is mounted.
+/// Offset of the clocks and misalignment of the IMU.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Lag {
-    /// By how many seconds the IMU is stamped too late against the lidar.
+    /// Time by which the IMU is stamped too late against the lidar, seconds.
     pub seconds: f64,
-    /// Standard deviation of that, seconds.
+    /// Standard deviation of the lag, seconds.
     pub sigma: f64,
-    /// The rotation vector that turns what the gyroscope shows to what sweeps turn by, radians; little about axes about which they
-    /// did not turn.
+    /// Rotation vector from the rotations of the gyroscope to those of sweeps, radians; it is small about
+    /// axes about which the platform did not rotate.
     pub misalignment: Vector3,
-    /// Standard deviation along it, radians.
+    /// Standard deviation along the misalignment, radians.
     pub misalignment_sigma: f64,
 }
 
-/// A turn that sweeps tell.
+/// A rotation measured by sweeps.
 pub(super) struct SweepTurn {
     from: Time,
     to: Time,
     /// Rotation vector in the tracking frame.
     pub turn: Vector3,
-    /// What makes its errors alike about all axes and of unit size.
+    /// Whitening matrix: makes the errors equal about all axes and of unit size.
     whiten: Matrix3<f64>,
 }
 
@@ -76,12 +82,12 @@ impl SweepTurn {
         Some(Self { from: a.time, to: b.time, turn: vector(&(a.rotation.inverse() * b.rotation)), whiten })
     }
 
-    /// How large it is against its error.
+    /// Size of the rotation relative to its error.
     fn size(&self) -> f64 {
         (self.whiten * self.turn).norm()
     }
 
-    /// What the gyroscope shows if it is stamped too late by `lag`.
+    /// Rotation measured by the gyroscope if it is stamped too late by `lag`.
     pub fn shown(&self, gyroscope: &Gyroscope, lag: f64) -> Option<Vector3> {
         let lag = Duration::from_seconds(lag);
         Some(vector(&gyroscope.turn(self.from + lag, self.to + lag)?))
@@ -92,7 +98,7 @@ fn vector(rotation: &Quaternion) -> Vector3 {
     angle_axis_from_quaternion(rotation)
 }
 
-/// Finds the offset; none if too little is known or if the two do not turn alike.
+/// Finds the offset; none without enough data, or if the two do not rotate alike.
 pub(super) fn find_lag(sweeps: &[TrackedSweep], gyroscope: &Gyroscope) -> Option<Lag> {
     let turns = turns(sweeps);
     if turns.len() < ENOUGH_TURNS {
@@ -101,7 +107,7 @@ pub(super) fn find_lag(sweeps: &[TrackedSweep], gyroscope: &Gyroscope) -> Option
     let steps = (REACH / STEP) as i32;
     let lags = (0..=steps).flat_map(|i| [STEP * f64::from(i), -STEP * f64::from(i)]);
     let medians = lags.filter_map(|lag| Some((median_difference(&turns, gyroscope, lag)?, lag)));
-    // The first of equals is nearest to zero.
+    // Among equal values, the first is nearest to zero.
     let (_, mut lag) = medians.min_by(|a, b| a.0.total_cmp(&b.0))?;
     let mut unknowns = Unknowns::zeros();
     let mut equations = Vec::new();
@@ -127,7 +133,7 @@ pub(super) fn find_lag(sweeps: &[TrackedSweep], gyroscope: &Gyroscope) -> Option
     Some(Lag { seconds: lag, sigma, misalignment, misalignment_sigma })
 }
 
-/// The rotation by which the gyroscope is mounted otherwise, and the standard deviation along it, radians.
+/// The misalignment of the gyroscope, and the standard deviation along it, radians.
 fn find_misalignment(equations: &[Equations], mut unknowns: Unknowns) -> Option<(Vector3, f64)> {
     let mut blocks = Vec::new();
     for _ in 0..ITERATIONS {
@@ -140,12 +146,12 @@ fn find_misalignment(equations: &[Equations], mut unknowns: Unknowns) -> Option<
     Some((mounting, jackknife(without_each(&blocks, WIDE_MOUNTING_SIGMA)?.iter().map(along))))
 }
 
-/// What comes of all blocks but one, for each.
+/// Solutions with each block left out in turn.
 fn without_each(blocks: &[(Normal, Unknowns)], mounting_sigma: f64) -> Option<Vec<Unknowns>> {
     (0..blocks.len()).map(|left_out| solve(blocks, Some(left_out), mounting_sigma)).collect()
 }
 
-/// Standard deviation of a value by what it is without each block (block jackknife).
+/// Standard deviation of a value from its values without each block (block jackknife).
 fn jackknife(without: impl ExactSizeIterator<Item = f64> + Clone) -> f64 {
     let count = without.len() as f64;
     let mean = without.clone().sum::<f64>() / count;
@@ -161,9 +167,9 @@ fn mounting_of(unknowns: &Unknowns) -> Vector3 {
     sine.try_normalize(1e-12).map_or_else(Vector3::zeros, |axis| axis * sine.norm().min(1.0).asin())
 }
 
-/// The fraction of turns that is left (of root mean squares, weighted).
+/// Fraction of the rotations that is left unexplained (of root mean squares, weighted).
 fn share_left(equations: &[Equations], unknowns: &Unknowns, limit: f64) -> f64 {
-    // With the matrix zero the gyroscope shows nothing.
+    // With the matrix zero, the rotations of the gyroscope vanish.
     let mut nothing_shown = Unknowns::zeros();
     for axis in 0..3 {
         nothing_shown[4 + 4 * axis] = -1.0;
@@ -174,8 +180,8 @@ fn share_left(equations: &[Equations], unknowns: &Unknowns, limit: f64) -> f64 {
     (squares(unknowns) / squares(&nothing_shown)).sqrt()
 }
 
-/// Turns from each sweep on to the first one that is long enough after it. Not those while it rests: they tell
-/// no lag, and matches are so good then that the others would pass for wrong ones.
+/// Rotations from each sweep to the first one that is long enough after it. Those at rest are left out: they
+/// do not constrain the lag, and matches at rest are so accurate that all others would look like outliers.
 pub(super) fn turns(sweeps: &[TrackedSweep]) -> Vec<SweepTurn> {
     let from = |i: usize| {
         let a = &sweeps[i];
@@ -192,7 +198,7 @@ pub(super) fn turns(sweeps: &[TrackedSweep]) -> Vec<SweepTurn> {
     turns
 }
 
-/// The median whitened difference at a lag, the mean difference (the bias of the gyroscope) taken out.
+/// Median whitened difference at a lag, after subtracting the mean difference (the bias of the gyroscope).
 fn median_difference(turns: &[SweepTurn], gyroscope: &Gyroscope, lag: f64) -> Option<f64> {
     let known: Vec<(Vector3, &SweepTurn)> =
         turns.iter().filter_map(|t| Some((t.turn - t.shown(gyroscope, lag)?, t))).collect();
@@ -203,11 +209,11 @@ fn median_difference(turns: &[SweepTurn], gyroscope: &Gyroscope, lag: f64) -> Op
     Some(median(known.iter().map(|(d, t)| (t.whiten * (d - mean)).norm()).collect()))
 }
 
-/// What one turn says: three rows.
+/// Equations of one rotation: three rows.
 struct Equations {
-    /// Difference that is left with all unknowns zero, whitened.
+    /// Difference with all unknowns zero, whitened.
     difference: Vector3,
-    /// What each unknown takes from it, whitened.
+    /// Derivatives of the explained difference by the unknowns, whitened.
     rows: SMatrix<f64, 3, UNKNOWNS>,
 }
 
@@ -235,14 +241,14 @@ fn linearised(turns: &[SweepTurn], gyroscope: &Gyroscope, lag: f64) -> Vec<Equat
     turns.iter().filter_map(of_turn).collect()
 }
 
-/// The usual size of what is left (median, as a standard deviation of one axis).
+/// Usual size of the residuals (median, as a standard deviation of one axis).
 fn usual(equations: &[Equations], unknowns: &Unknowns) -> Option<f64> {
     // The median of the length of a normal vector in 3D is 1.538 standard deviations.
     let size = median(equations.iter().map(|e| e.left(unknowns).norm()).collect()) / 1.538;
     (equations.len() >= ENOUGH_TURNS && size.is_finite()).then_some(size.max(1e-9))
 }
 
-/// Geman and McClure's weight.
+/// Weight after Geman and McClure.
 fn weight(equation: &Equations, unknowns: &Unknowns, limit: f64) -> f64 {
     let squared = limit * limit;
     (squared / (squared + equation.left(unknowns).norm_squared())).powi(2)
@@ -261,7 +267,8 @@ fn normal_equations(equations: &[Equations], unknowns: &Unknowns, limit: f64) ->
     blocks
 }
 
-/// Least squares with a prior of the matrix: of its antisymmetric part, which is a rotation, with this standard deviation.
+/// Least squares with a prior of the matrix; its antisymmetric part, which is a rotation, has the given
+/// standard deviation.
 fn solve(blocks: &[(Normal, Unknowns)], left_out: Option<usize>, mounting_sigma: f64) -> Option<Unknowns> {
     let mut normal = Normal::identity() * 1e-9;
     let mut right = Unknowns::zeros();

@@ -19,26 +19,29 @@ use gyroscope::Gyroscope;
 use sweeps::{Sweep, SweepGatherer};
 use tracker::{SweepTracker, TrackedSweep};
 
-/// After so many sweeps, and after twice as many if that does not suffice, offsets are computed.
+/// Number of sweeps after which offsets are computed first; it is doubled each time that they are not
+/// certain enough.
 const SWEEPS: usize = 75;
-/// So many sweeps are looked at in all.
+/// Maximum number of sweeps that are used.
 const MAX_SWEEPS: usize = 3000;
-/// An offset that is so sure suffices, seconds (standard deviation).
+/// Standard deviation of an offset that is accurate enough, seconds.
 const SURE: f64 = 0.002;
-/// Lidars tell the same offset if they differ by no more than this, seconds, or by so many standard deviations.
+/// Difference between the offsets of lidars up to which they agree, seconds.
 const SAME: f64 = 0.005;
+/// Difference between the offsets of lidars up to which they agree, in standard deviations.
 const DIFFERENT: f64 = 4.0;
-/// So many sweeps wait at most for samples of the IMU that come later.
+/// Maximum number of sweeps that wait for later samples of the IMU.
 const MAX_WAITING: usize = 20;
-/// Clouds that are flatter are those of scanners in 2D, radians.
+/// Vertical field of view below which clouds come from 2D scanners, radians.
 const FLAT: f64 = 0.05;
-/// So many sweeps tell whether a gyroscope is in degrees a second.
+/// Maximum number of sweeps used to determine whether a gyroscope is in degrees per second.
 const SWEEPS_FOR_UNITS: usize = 2 * SWEEPS;
-/// A gyroscope that usually turns faster may be one in degrees a second, rad/s.
+/// Root mean square of the angular velocity from which a gyroscope may be in degrees per second, rad/s.
 const FAST: f64 = 0.5;
 
-/// Compares the turns of lidars in 3D with those of the IMU. Ends when enough was read. What cannot be read tells nothing: [`portolan_diagnose::check`] says why.
-/// `progress` is told the bytes read so far.
+/// Compares the rotations of lidars in 3D with those of the IMU. Ends when the result is accurate enough.
+/// What cannot be read gives no results: [`portolan_diagnose::check`] reports the reason. `progress`
+/// receives the number of bytes read so far.
 pub fn measure(
     recording: &dyn Recording,
     inventory: &Inventory,
@@ -54,32 +57,32 @@ pub fn measure(
     if as_planned.turns_alike && measured(exactly(1.0)).turns_alike {
         return as_planned.comparison;
     }
-    // Sweeps that are de-skewed with rates in other units match nothing, so that they tell nothing of the units.
+    // Sweeps that are de-skewed with rates in wrong units match nothing, so that they do not show the units.
     let in_degrees = measured(exactly(1f64.to_radians()));
     let imu = in_degrees.imu.filter(|_| in_degrees.turns_alike);
     let mounting = imu.map(|imu| ImuMounting { imu, turned: 0.0, factor: 1f64.to_degrees() });
     ImuComparison { mounting, ..as_planned.comparison }
 }
 
-/// What was measured with rates of the gyroscope that were scaled.
+/// Results with scaled rates of the gyroscope.
 #[derive(Default)]
 struct Measured {
     comparison: ImuComparison,
     /// Topic of the IMU.
     imu: Option<Arc<str>>,
-    /// Whether it surely turns as all lidars do.
+    /// Whether it certainly rotates like all lidars.
     turns_alike: bool,
     /// Root mean square of its rates, rad/s.
     usual_rate: f64,
 }
 
-/// How to look at sweeps and gyroscope.
+/// How sweeps and gyroscope are used.
 #[derive(Clone, Copy)]
 struct Look {
-    /// What rates of the gyroscope are multiplied by.
+    /// Factor for the rates of the gyroscope.
     scale: f64,
     most_sweeps: usize,
-    /// Whether sweeps are registered until nothing changes.
+    /// Whether sweeps are registered to convergence.
     is_exact: bool,
 }
 
@@ -96,7 +99,7 @@ fn measure_scaled(
     if is_exact {
         clocks.lidars.values_mut().for_each(|lidar| lidar.tracker = SweepTracker::to_the_end());
     }
-    // An error ends the reading, and what was read before it counts.
+    // An error ends the reading; what was read before it is used.
     while let Ok(Some((id, measurement))) = ingestion.next_measurement() {
         clocks.add(&id, measurement, scale);
         if clocks.is_enough(most_sweeps) {
@@ -107,8 +110,8 @@ fn measure_scaled(
     clocks.finish(ingestion.plan())
 }
 
-/// The offset of the clock of the IMU that all lidars tell, if it is beyond doubt: moving its stamps by it puts all
-/// clocks right. None where lidars differ: one of them is off then.
+/// The offset of the clock of the IMU on which all lidars agree, if it is certain: shifting its stamps by it
+/// corrects all clocks. None where lidars disagree: then one of them is wrong.
 pub fn common_offset(offsets: &[ClockOffset]) -> Option<ClockOffset> {
     let best = offsets.iter().min_by(|a, b| a.sigma.total_cmp(&b.sigma)).filter(|best| best.is_told())?;
     let agrees =
@@ -116,14 +119,16 @@ pub fn common_offset(offsets: &[ClockOffset]) -> Option<ClockOffset> {
     offsets.iter().all(agrees).then(|| best.clone())
 }
 
-/// A misalignment is corrected that is larger than this, radians, and than so many standard deviations: sensors are mounted a degree or
-/// two off, and what moves beside the lidar seems to turn it.
+/// Smallest misalignment that is corrected, radians: sensors are mounted with an error of a degree or two,
+/// and objects that move beside the lidar look like its rotation.
 const LEAST_MISALIGNMENT: f64 = 0.035;
+/// Number of standard deviations that a corrected misalignment has to exceed.
 const SURE_SIGMAS: f64 = 6.0;
-/// Lidars tell the same one if they differ by no more than this, radians.
+/// Difference between the misalignments from lidars up to which they agree, radians.
 const SAME_MISALIGNMENT: f64 = 0.02;
 
-/// The misalignment of the IMU that all lidars tell, if it is beyond doubt; each with its standard deviation.
+/// The misalignment of the IMU on which all lidars agree, if it is certain; each with its standard
+/// deviation.
 fn common_misalignment(told: &[(Vector3, f64)]) -> Option<(Vector3, f64)> {
     let (rotation, sigma) = *told.iter().min_by(|a, b| a.1.total_cmp(&b.1))?;
     let is_sure = rotation.norm() > LEAST_MISALIGNMENT.max(SURE_SIGMAS * sigma);
@@ -135,7 +140,7 @@ fn common_misalignment(told: &[(Vector3, f64)]) -> Option<(Vector3, f64)> {
 struct Clocks {
     gyroscope: Gyroscope,
     lidars: BTreeMap<SensorId, Lidar>,
-    /// When offsets are computed next, in sweeps of one lidar.
+    /// Number of sweeps of one lidar at which offsets are computed next.
     next: usize,
 }
 
@@ -159,7 +164,7 @@ impl Clocks {
         let mut plan = plan(inventory, options)?;
         let Some(imu) = &plan.imu else { return Ok(None) };
         let shift = imu.source.clock_shift;
-        // A clock that was put right already is known to be wrong.
+        // A clock that was already corrected is known to be wrong.
         let is_usable = |range: &PlannedRange| {
             range.source.clock_shift == shift && range.statistics.vertical_field_of_view > FLAT
         };
@@ -187,7 +192,7 @@ impl Clocks {
         }
     }
 
-    /// Whether all offsets are known well enough, or looked for long enough.
+    /// Whether all offsets are accurate enough, or enough sweeps were used.
     fn is_enough(&mut self, most_sweeps: usize) -> bool {
         let most = self.lidars.values().map(|lidar| lidar.sweeps).max().unwrap_or(0);
         if most < self.next {
@@ -215,7 +220,7 @@ impl Clocks {
             offsets.push(ClockOffset {
                 lidar: range.source.topic.clone(),
                 imu: imu.source.topic.clone(),
-                // What is late of the one is early of the other.
+                // A delay of the IMU is an advance of the lidar.
                 seconds: -found.seconds,
                 sigma: found.sigma,
                 has_point_times: range.point_time.is_some(),
@@ -242,7 +247,7 @@ impl Lidar {
         self.track(gyroscope, MAX_WAITING);
     }
 
-    /// Tracks the sweeps whose turn the gyroscope has told, until at most so many wait.
+    /// Tracks the sweeps whose rotation the gyroscope has measured, until at most `may_wait` wait.
     fn track(&mut self, gyroscope: &Gyroscope, may_wait: usize) {
         while let Some(sweep) = self.waiting.front() {
             let end = sweep.middle + Duration::from_seconds(sweep.half);
@@ -286,7 +291,7 @@ mod tests {
         let seconds = |offsets: &[ClockOffset]| common_offset(offsets).map(|offset| offset.seconds);
         assert_eq!(seconds(&[offset(-0.045, 0.001)]), Some(-0.045));
         assert_eq!(seconds(&[offset(-0.041, 0.002), offset(-0.045, 0.001)]), Some(-0.045));
-        // One of the lidars is off, and which one nobody knows.
+        // One of the lidars is off, but it is unknown which one.
         assert_eq!(seconds(&[offset(0.0, 0.001), offset(-0.045, 0.001)]), None);
         assert_eq!(seconds(&[offset(-0.045, 0.01)]), None);
         assert_eq!(seconds(&[offset(-0.005, 0.0001)]), None);

@@ -1,7 +1,9 @@
-//! Whether the gyroscope turns as sweeps of a lidar do, or only if its axes are turned or its rates scaled.
+//! Determines whether the gyroscope rotates like sweeps of a lidar, or only after its axes are rotated or
+//! its rates scaled.
 //!
-//! The turn and the factor that lay the turns of the one over those of the other in the sense of least squares follow in
-//! closed form (Kabsch 1976, "A solution for the best rotation to relate two sets of vectors").
+//! The rotation and the factor that fit the rotations of one sensor to those of the other in the sense of
+//! least squares have a closed form (Kabsch 1976, "A solution for the best rotation to relate two sets of
+//! vectors").
 
 use portolan_geometry::Vector3;
 use portolan_geometry::nalgebra::Matrix3;
@@ -9,20 +11,24 @@ use portolan_geometry::nalgebra::Matrix3;
 use super::gyroscope::Gyroscope;
 use super::lag::{ENOUGH_TURNS, SweepTurn};
 
-/// Lags that are tried, seconds: of so many steps to each side.
+/// Step of the lags that are tried, seconds.
 const STEP: f64 = 0.05;
+/// Number of lags that are tried to each side.
 const STEPS: i32 = 10;
-/// The two do not turn alike if such a share of the turns of sweeps (of root mean squares) is left …
+/// Fraction of the rotations of sweeps (of root mean squares) that is left unexplained, above which the two
+/// do not rotate alike.
 const LEFT: f64 = 0.5;
-/// … and less than this is left with other axes, or another factor.
+/// Fraction that is left with other axes, or another factor, below which these explain the difference.
 const LEFT_OTHERWISE: f64 = 0.3;
-/// A factor alone that leaves no more than so many times as much as a turn of the axes explains it more simply.
+/// Ratio of what a factor alone leaves unexplained to what a rotation of the axes leaves, up to which the
+/// factor is preferred as simpler.
 const AS_GOOD: f64 = 1.2;
-/// The share of turns that counts.
+/// Fraction of the rotations that is used: those that fit best.
 const KEPT: f64 = 0.8;
 
-/// By which angle, radians, the axes of the gyroscope are others than said, and how many times as fast it turns, where it does
-/// not turn as sweeps do and that explains it; none where it does, and where nothing explains it.
+/// Angle between the axes of the gyroscope and those assumed, radians, and ratio of its rates to the
+/// rotation of sweeps, where it does not rotate like sweeps and these explain it. None where it does, or
+/// where nothing explains it.
 pub(super) fn find_mounting(turns: &[SweepTurn], gyroscope: &Gyroscope) -> Option<(f64, f64)> {
     let best = fits(turns, gyroscope)
         .reduce(|best, fit| if fit.turned.left < best.turned.left { fit } else { best })?;
@@ -31,7 +37,7 @@ pub(super) fn find_mounting(turns: &[SweepTurn], gyroscope: &Gyroscope) -> Optio
     explains.then_some((simple.turned, simple.factor))
 }
 
-/// Whether the gyroscope surely turns as sweeps do.
+/// Whether the gyroscope certainly rotates like sweeps.
 pub(super) fn turns_alike(turns: &[SweepTurn], gyroscope: &Gyroscope) -> bool {
     fits(turns, gyroscope).any(|fit| fit.as_said < LEFT_OTHERWISE)
 }
@@ -41,30 +47,30 @@ fn fits(turns: &[SweepTurn], gyroscope: &Gyroscope) -> impl Iterator<Item = Fit>
     lags.filter_map(move |lag| Fit::of(turns, gyroscope, lag))
 }
 
-/// One way to lay the turns of the gyroscope over those of sweeps.
+/// One way of fitting the rotations of the gyroscope to those of sweeps.
 #[derive(Clone, Copy)]
 struct Way {
-    /// Angle between the axes of the IMU and those that the transforms say, radians.
+    /// Angle between the axes of the IMU and those of the transforms, radians.
     turned: f64,
-    /// How many times as fast as sweeps it turns.
+    /// Ratio of its rotation to that of sweeps.
     factor: f64,
-    /// The share of the turns of sweeps that is left.
+    /// Fraction of the rotations of sweeps that is left unexplained.
     left: f64,
 }
 
-/// Turns at one lag.
+/// Fits at one lag.
 struct Fit {
-    /// Share that is left with the axes and units that it is said to have.
+    /// Fraction that is left unexplained with the assumed axes and units.
     as_said: f64,
     scaled: Way,
     turned: Way,
 }
 
-/// Turns that sweeps tell, and what the gyroscope shows meanwhile.
+/// Rotations measured by sweeps and by the gyroscope in the same time.
 type Pair = (Vector3, Vector3);
 
 impl Fit {
-    /// Without the pairs that fit worst: some sweeps are matched wrongly.
+    /// Leaves out the pairs that fit worst: some sweeps are matched wrongly.
     fn of(turns: &[SweepTurn], gyroscope: &Gyroscope, lag: f64) -> Option<Self> {
         let shown = |turn: &SweepTurn| Some((turn.turn, turn.shown(gyroscope, lag)?));
         let mut pairs: Vec<Pair> = turns.iter().filter_map(shown).collect();
@@ -78,8 +84,8 @@ impl Fit {
         Some(Self::least_squares(&pairs)?.0)
     }
 
-    /// With it, the matrix that makes turns of the gyroscope those of sweeps. The means, which hold the bias of the gyroscope,
-    /// are taken out.
+    /// Returns also the matrix from rotations of the gyroscope to those of sweeps. The means, which contain
+    /// the bias of the gyroscope, are subtracted.
     fn least_squares(pairs: &[Pair]) -> Option<(Self, Matrix3<f64>)> {
         let count = pairs.len() as f64;
         let sum = pairs.iter().fold((Vector3::zeros(), Vector3::zeros()), |s, p| (s.0 + p.0, s.1 + p.1));

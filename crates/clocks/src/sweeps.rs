@@ -1,30 +1,31 @@
-//! Messages of a lidar gathered to sweeps.
+//! Joins the messages of a lidar to sweeps.
 
 use portolan_geometry::{Duration, Point3f, Time};
 use portolan_numeric::scramble;
 use portolan_sensor::TimedPointCloudData;
 
-/// Messages are gathered until they last so long, seconds; most lidars turn once in a tenth of a second.
+/// Duration from which the joined messages are a sweep, seconds; most lidars take a tenth of a second for a
+/// revolution.
 const ENOUGH: f64 = 0.07;
-/// Messages farther apart belong to different sweeps, seconds.
+/// Gap between messages above which they belong to different sweeps, seconds.
 const MAX_GAP: f64 = 0.05;
-/// A sweep has no more messages than this.
+/// Maximum number of messages of a sweep.
 const MAX_MESSAGES: usize = 1000;
-/// Nearer points are of the scanner and who carries it, metres.
+/// Range below which points are on the scanner or its carrier, metres.
 const NEAREST: f32 = 0.5;
-/// So many points of a sweep are used.
+/// Number of points of a sweep above which they are thinned.
 const MAX_POINTS: usize = 6000;
 
-/// What was seen in about a tenth of a second.
+/// Points of about a tenth of a second.
 #[derive(Clone, Debug)]
 pub(super) struct Sweep {
     /// Middle of the times of its points.
     pub middle: Time,
-    /// Seconds from there to its last point.
+    /// Time from there to its last point, seconds.
     pub half: f64,
-    /// Seconds after the middle, and where it was then in the tracking frame.
+    /// Time after the middle, seconds, and position in the tracking frame at that time.
     pub points: Vec<(f32, Point3f)>,
-    /// The lidar in the tracking frame.
+    /// Position of the lidar in the tracking frame.
     pub origin: Point3f,
 }
 
@@ -35,7 +36,7 @@ pub(super) struct SweepGatherer {
 }
 
 impl SweepGatherer {
-    /// Takes a message; gives the sweep that is complete with it.
+    /// Takes a message; returns the sweep that it completes.
     pub fn add(&mut self, message: TimedPointCloudData) -> Option<Sweep> {
         let begin = begin(&message)?;
         if self.messages.last().is_some_and(|last| begin.seconds_since(last.time).abs() > MAX_GAP) {
@@ -72,7 +73,7 @@ fn joined(messages: &[TimedPointCloudData], begin: Time, end: Time) -> Option<Sw
     for message in messages {
         let shift = message.time.seconds_since(middle) as f32;
         for (i, chunk) in message.points_in_tracking.chunks(stride).enumerate() {
-            // One at random of so many: every 16th point may be always of the same beam.
+            // Takes one at random from each group: every 16th point may always be from the same beam.
             let Some(point) = chunk.get(scramble(i as u32) as usize % chunk.len()) else { continue };
             if (point.position - message.origin_in_tracking).norm() > NEAREST {
                 points.push((shift + point.time, point.position));

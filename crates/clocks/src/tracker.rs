@@ -1,4 +1,4 @@
-//! How a lidar turns: sweep after sweep matched to the surfaces that the last seconds showed.
+//! Tracks the rotation of a lidar by matching each sweep to the surfaces of the last seconds.
 
 use std::collections::VecDeque;
 
@@ -14,37 +14,38 @@ use super::sweeps::Sweep;
 
 /// Edge of the voxels of the surfaces, metres.
 const EDGE: f64 = 1.0;
-/// A map has so many sweeps when the next one is begun, and is left when that one has as many.
+/// Number of sweeps in a map after which the next one is started; a map is dropped when the next one has as
+/// many.
 const SWEEPS_OF_A_MAP: u32 = 15;
-/// So many points of a sweep are matched.
+/// Approximate number of points of a sweep that are matched.
 const WANTED_POINTS: f32 = 1500.0;
-/// A match of fewer points is no match.
+/// Fraction of matched points below which a match is rejected.
 const MIN_MATCHED_FRACTION: f64 = 0.15;
-/// Sweeps farther apart do not tell one turn, seconds.
+/// Interval between sweeps above which their relative rotation is not used, seconds.
 const MAX_INTERVAL: f64 = 0.35;
-/// A sweep is de-skewed with the velocity that its match tells, so many times.
+/// Maximum number of iterations in which a sweep is de-skewed with the velocity from its match.
 const TURNS: u32 = 3;
-/// Rotations of a sweep are kept this far apart, seconds.
+/// Spacing of the interpolated rotations within a sweep, seconds.
 const ROTATION_SPACING: f64 = 0.001;
-/// So many sweeps in a row may fit nothing: first sweeps alone do not show many surfaces.
+/// Maximum number of consecutive sweeps without a match: the first sweeps alone do not show many surfaces.
 const MAX_UNMATCHED: u32 = 10;
-/// How far off the turn of the gyroscope may be, radians: an offset of its clock is no hindrance, and scans tell
-/// turns a hundred times better than this prior does.
+/// Standard deviation of the rotation predicted by the gyroscope, radians. It is so wide that an offset of
+/// its clock does no harm; scans measure rotations a hundred times more accurately.
 const TURN_SIGMA: f64 = 0.05;
-/// What a carrier may do unseen, m/s².
+/// Unmeasured acceleration of the carrier, m/s².
 const ACCELERATION: f64 = 6.0;
-/// How far the second sweep may be from the first, metres.
+/// Standard deviation of the translation from the first sweep to the second, metres.
 const FIRST_SIGMA: f64 = 1.0;
 
-/// A sweep and how the tracking frame was turned in its middle.
+/// A sweep and the orientation of the tracking frame in its middle.
 #[derive(Clone, Debug)]
 pub(super) struct TrackedSweep {
     pub time: Time,
-    /// The tracking frame in a local one.
+    /// Orientation of the tracking frame in a local frame.
     pub rotation: Quaternion,
-    /// How sure that is: of a rotation vector in the tracking frame, rad².
+    /// Its covariance: of a rotation vector in the tracking frame, rad².
     pub covariance: Matrix3<f64>,
-    /// Sweeps of different numbers have different local frames.
+    /// Sweeps with different segment numbers have different local frames.
     pub segment: u32,
 }
 
@@ -67,7 +68,7 @@ impl Last {
         Self { time, local_from_tracking: Rigid3::identity(), velocity: Vector3::zeros(), is_first: true }
     }
 
-    /// Going on as before, and turning as the gyroscope says.
+    /// Prediction with constant velocity and the rotation of the gyroscope.
     fn predicted(&self, time: Time, gyroscope: &Gyroscope) -> Option<Rigid3> {
         let seconds = time.seconds_since(self.time);
         let turn = gyroscope.turn(self.time, time).filter(|_| (1e-3..MAX_INTERVAL).contains(&seconds))?;
@@ -76,7 +77,7 @@ impl Last {
     }
 }
 
-/// Follows one lidar.
+/// Tracks one lidar.
 pub(super) struct SweepTracker {
     registration: Registration,
     maps: VecDeque<LocalMap>,
@@ -84,7 +85,7 @@ pub(super) struct SweepTracker {
     segment: u32,
     unmatched: u32,
     spacing: f32,
-    /// The points of a sweep as seen from its middle, those that are matched, and which these are.
+    /// Points of a sweep de-skewed to its middle, those of them that are matched, and the indices of these.
     deskewed: Vec<Point3f>,
     chosen: Vec<Point3f>,
     kept: Vec<u32>,
@@ -92,8 +93,8 @@ pub(super) struct SweepTracker {
 
 impl Default for SweepTracker {
     fn default() -> Self {
-        // Turns alone are wanted here, and of these planes seen edge-on tell something: without them the offset of a
-        // sparse second lidar among trees is not found.
+        // Only rotations are needed here, and surfaces at grazing incidence constrain them: without these
+        // the offset of a sparse second lidar among trees is not found.
         let options = RegistrationSettings {
             min_matched_fraction: 0.0,
             grazing_weight: 0.1,
@@ -114,14 +115,15 @@ impl Default for SweepTracker {
 }
 
 impl SweepTracker {
-    /// Registers sweeps until nothing changes: what ends early agrees with the gyroscope that predicted it, right or not.
+    /// Registers sweeps to convergence: an iteration that ends early agrees with the predicting gyroscope,
+    /// right or not.
     pub fn to_the_end() -> Self {
         let default = Self::default();
         let options = RegistrationSettings { small_step: 0.02, ..default.registration.settings().clone() };
         Self { registration: Registration::new(options), ..default }
     }
 
-    /// Takes the next sweep; none if it tells no turn.
+    /// Takes the next sweep; none if its rotation is not determined.
     pub fn add(&mut self, sweep: &Sweep, gyroscope: &Gyroscope) -> Option<TrackedSweep> {
         let Some(rotations) = Rotations::of(sweep, gyroscope) else {
             self.lose();
@@ -202,7 +204,7 @@ impl SweepTracker {
         Some(TrackedSweep { time: sweep.middle, rotation: pose.rotation, covariance, segment: self.segment })
     }
 
-    /// The points as they were seen from the middle of the sweep; `velocity` in the tracking frame.
+    /// De-skews the points to the middle of the sweep; `velocity` is in the tracking frame.
     fn deskew(&mut self, sweep: &Sweep, rotations: &Rotations, velocity: &Vector3) {
         let velocity = velocity.cast::<f32>();
         self.deskewed.clear();
@@ -212,7 +214,7 @@ impl SweepTracker {
         self.deskewed.extend(sweep.points.iter().map(seen));
     }
 
-    /// Chooses points that cover everything seen.
+    /// Chooses points that evenly cover the sweep.
     fn choose(&mut self) {
         self.kept = voxel_filter_indices(&self.deskewed, |p| *p, self.spacing);
         if !self.kept.is_empty() {
@@ -221,7 +223,7 @@ impl SweepTracker {
         }
     }
 
-    /// Inserts the deskewed points where the last pose is.
+    /// Inserts the de-skewed points at the last pose.
     fn insert(&mut self, origin: &Point3f) {
         let Some(last) = &self.last else { return };
         if self.maps.back().is_none_or(|map| map.sweeps >= SWEEPS_OF_A_MAP) {
@@ -240,7 +242,7 @@ impl SweepTracker {
     }
 }
 
-/// How sure a match is of its rotation, whatever the translation is.
+/// Covariance of the rotation of a match, with the translation marginalised.
 fn covariance_of_rotation(found: &RegistrationResult, translation_sigma: f64) -> Option<Matrix3<f64>> {
     let information = &found.information;
     let block = |i: usize, j: usize| information.fixed_view::<3, 3>(i, j).into_owned();
@@ -256,7 +258,7 @@ fn covariance_of_rotation(found: &RegistrationResult, translation_sigma: f64) ->
     Some(to_tracking * covariance * to_tracking.inverse())
 }
 
-/// Rotations from the tracking frame on the way to that in the middle of the sweep.
+/// Rotations of the tracking frame during the sweep, to its orientation in the middle.
 struct Rotations {
     half: f32,
     rotations: Vec<Rotation3<f32>>,

@@ -1,33 +1,37 @@
-//! How long a planar scanner takes for a scan, from scans of one place that were taken at different turn rates.
+//! Estimates how long a planar scanner takes for a scan, from scans of one place that were taken at
+//! different turn rates.
 //!
-//! A scan that takes a time `T` while the scanner turns is stretched by the angle turned. Two scans that were taken at the same rate are
-//! stretched alike and tell nothing; those taken at different rates fit best after de-skewing with the right `T`. Each pair gives the
-//! normal equations of its relative pose and of `T` (point to line, linear in `T`); the poses are eliminated (Schur complement), which
-//! leaves one number and its information for each pair.
+//! A scan that takes a time `T` while the scanner turns is stretched by the angle turned. Two scans taken at
+//! the same rate are stretched alike and do not constrain `T`; those taken at different rates fit best after
+//! de-skewing with the right `T`. Each pair gives the normal equations of its relative pose and of `T`
+//! (point to line, linear in `T`). The poses are eliminated (Schur complement), which leaves one number and
+//! its information for each pair.
 
 use portolan_geometry::nalgebra::{Matrix3, Vector3};
 use portolan_geometry::{Rigid2, Vector2};
 
 use crate::scan_motion::{OnLine, PlacedScan, Places, ScanMotions, Seen, by_direction, line_near, matched};
 
-/// So many pairs are compared, those whose turn rates differ most.
+/// Maximum number of pairs that are compared: those whose turn rates differ most.
 const PAIRS: usize = 200;
-/// Scans of a pair are so many scans apart at most.
+/// Maximum distance between the scans of a pair, in scans.
 const APART: usize = 12;
-/// Turn rates of a pair differ by so much at least, rad/s.
+/// Minimum difference between the turn rates of a pair, rad/s.
 const LEAST_DIFFERENCE: f64 = 0.2;
-/// So many pairs tell.
+/// Minimum number of pairs for an estimate.
 const ENOUGH_PAIRS: usize = 30;
-/// Rounds of Gauss-Newton, and the change of the duration that ends them, seconds.
+/// Maximum number of Gauss-Newton iterations.
 const ROUNDS: usize = 8;
+/// Change of the duration at which the iteration has converged, seconds.
 const CONVERGED: f64 = 0.001;
-/// A duration is wrong if it differs by so many standard deviations more than so many seconds.
+/// Number of standard deviations for a duration to be certainly wrong, in excess of [`LEAST_ERROR`].
 const SURE: f64 = 4.0;
+/// Error of a duration below which it is not reported, seconds.
 const LEAST_ERROR: f64 = 0.03;
-/// Points this far from their line are of something else, metres.
+/// Distance of a point from its line above which it belongs to another surface, metres.
 const GATE: f64 = 0.1;
 
-/// How long a scan takes from its first beam to its last, negative if the last comes first.
+/// Time of a scan from its first beam to its last, negative if the last comes first.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScanDuration {
     /// Seconds.
@@ -37,14 +41,15 @@ pub struct ScanDuration {
 }
 
 impl ScanDuration {
-    /// Whether it surely is another than what is said of scans that come so many seconds apart.
+    /// Whether the duration certainly differs from the reported one, `said`, of scans that come at this
+    /// interval, seconds.
     pub(crate) fn is_other_than(&self, said: f64, interval: f64) -> bool {
         let difference = (self.seconds - said).abs();
         difference - SURE * self.sigma > LEAST_ERROR && self.seconds.abs() < 1.1 * interval
     }
 }
 
-/// A scan, and how the scanner moved while it was taken.
+/// A scan, and the motion of the scanner while it was taken.
 #[derive(Clone, Copy)]
 struct MovingScan<'a> {
     places: &'a Places,
@@ -65,12 +70,12 @@ impl<'a> MovingScan<'a> {
         (seconds > 0.0).then_some(Self { places: &scan.places, velocity, rate })
     }
 
-    /// The velocity of what is fixed, as the scanner sees it, with the sign turned.
+    /// Velocity of static points relative to the scanner, with the sign reversed.
     fn flow(&self, place: &Vector2) -> Vector2 {
         self.velocity + self.rate * Vector2::new(-place.y, place.x)
     }
 
-    /// As if all had been measured at the begin of a scan that takes so many seconds.
+    /// The scan de-skewed to its start, if it takes this duration, seconds.
     fn deskewed(&self, seconds: f64) -> Places {
         by_direction(self.places.iter().flatten().map(|seen| {
             let time = seconds * seen.share;
@@ -87,18 +92,20 @@ struct Pair<'a> {
     first_from_second: Rigid2,
 }
 
-/// The normal equation of the duration of scans that a pair gives, from which the pose of the pair is eliminated: information, and
-/// information times what the duration is more than assumed; and how the pose follows from that.
+/// Normal equation of the duration of scans from one pair, with the pose of the pair eliminated. It consists
+/// of the information, of the information times the correction of the assumed duration, and of the
+/// dependence of the pose on that correction.
 struct DurationEquation {
     information: f64,
     gradient: f64,
-    /// The step of the pose (x, y, angle) where the duration stays, and what comes off for each second that it is more.
+    /// Step of the pose (x, y, angle) if the duration stays the same.
     step: Vector3<f64>,
+    /// Amount by which the step decreases for each second that is added to the duration.
     step_per_second: Vector3<f64>,
 }
 
 impl Pair<'_> {
-    /// Lays the scans over each other as they are after de-skewing; false where they do not fit.
+    /// Matches the scans after de-skewing; false if they do not fit.
     fn matches(&mut self, seconds: f64) -> bool {
         let (before, now) = (self.first.deskewed(seconds), self.second.deskewed(seconds));
         let found = matched(&before, &now, self.first_from_second);
@@ -135,7 +142,7 @@ impl Pair<'_> {
         is_solvable.then_some(DurationEquation { information, gradient, step, step_per_second })
     }
 
-    /// Takes the step of the pose that belongs to a change of the duration.
+    /// Applies the step of the pose that belongs to a change of the duration.
     fn improve(&mut self, equation: &DurationEquation, change: f64) {
         let step = equation.step - equation.step_per_second * change;
         self.first_from_second = Rigid2::new(step.x, step.y, step.z) * self.first_from_second;
@@ -156,7 +163,8 @@ pub(crate) fn scan_duration(motions: &ScanMotions, assumed: f64) -> Option<ScanD
         }
         let information: f64 = of_pairs().map(|e| e.information).sum();
         let change = of_pairs().map(|e| e.gradient).sum::<f64>() / information;
-        // Points of a pair are not independent, pairs nearly so: the spread of their equations is the error.
+        // Points of a pair are not independent, pairs nearly are: the error is computed from the scatter of
+        // their equations.
         let spread: f64 = of_pairs().map(|e| (e.gradient - e.information * change).powi(2)).sum();
         found = ScanDuration { seconds: found.seconds + change, sigma: spread.sqrt() / information };
         for (pair, equation) in pairs.iter_mut().zip(&equations) {
@@ -169,7 +177,7 @@ pub(crate) fn scan_duration(motions: &ScanMotions, assumed: f64) -> Option<ScanD
     found.seconds.is_finite().then_some(found)
 }
 
-/// Pairs of scans whose turn rates differ, those that differ most.
+/// Pairs of scans with the largest differences in turn rate.
 fn pairs(scans: &[PlacedScan]) -> Vec<Pair<'_>> {
     let moving: Vec<Option<MovingScan>> = (0..scans.len()).map(|i| MovingScan::at(scans, i)).collect();
     let at = |i: usize| moving.get(i).and_then(Option::as_ref);
@@ -209,7 +217,7 @@ mod tests {
         to_wall(pose.translation.x, c, 4.0).min(to_wall(pose.translation.y, s, 2.5))
     }
 
-    /// Five scans a second of a scanner that turns to and fro, each measured in so many seconds.
+    /// Five scans a second of a scanner that turns to and fro, each measured in this duration, seconds.
     fn scans(seconds: f64, turns: f64) -> ScanMotions {
         let pose =
             |t: f64| Rigid2::new(1.5 * (0.3 * t).sin(), 0.5 * (0.2 * t).cos(), turns * (1.1 * t).sin());

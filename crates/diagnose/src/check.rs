@@ -1,4 +1,4 @@
-//! All checks of a recording in one pass.
+//! Runs all checks of a recording in one pass.
 
 mod kinds;
 
@@ -36,10 +36,10 @@ use kinds::{
     SCAN_DURATION, TRANSFORMS,
 };
 
-/// Transforms are kept this long while checking, seconds.
+/// Time for which transforms are kept while checking, seconds.
 const KEPT_TRANSFORMS: f64 = 10.0;
 
-/// Everything that was found.
+/// Results of all checks.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct CheckReport {
     /// The worst first.
@@ -48,7 +48,7 @@ pub struct CheckReport {
     pub histograms: Vec<String>,
 }
 
-/// Checks a whole recording. `progress` is told the bytes read so far after every 256 messages.
+/// Checks a whole recording. `progress` receives the number of bytes read so far after every 256 messages.
 ///
 /// # Errors
 /// If the recording cannot be read.
@@ -61,7 +61,7 @@ pub fn check(
     check_with_clocks(recording, &inventory, options, &ImuComparison::default(), progress)
 }
 
-/// The same where lidars were compared with the IMU before: those sensors are not compared once more.
+/// The same check where lidars were compared with the IMU before: those sensors are not compared again.
 ///
 /// # Errors
 /// If the recording cannot be read.
@@ -93,7 +93,7 @@ pub fn check_with_clocks(
     Ok(check.finish(plan.as_ref().ok(), compared, &reader.issues()))
 }
 
-/// What is checked of one topic.
+/// Checks of one topic.
 enum TopicChecks {
     Scan { ranges: RangeChecks, turns: ScanTurns, directions: BeamDirections },
     Echoes { ranges: RangeChecks, directions: BeamDirections },
@@ -152,7 +152,7 @@ impl<'a> Check<'a> {
         stamps.add(&recorded.topic, (header, end), recorded.log_time, &mut self.findings);
     }
 
-    /// Takes what a message measured; returns when its first and its last point were, if it has points.
+    /// Checks the values of a message; returns the times of its first and its last point, if it has points.
     fn add_values(&mut self, topic: &Arc<str>, message: &Message) -> Option<(Time, Time)> {
         let checks = match self.topics.get_mut(topic) {
             Some(checks) => checks,
@@ -192,7 +192,7 @@ impl<'a> Check<'a> {
         None
     }
 
-    /// What mapping would choose is good to know.
+    /// Reports the choices of mapping.
     fn add_plan(&mut self, plan: &SensorPlan) {
         for notice in &plan.notices {
             self.findings.push(Finding {
@@ -235,7 +235,7 @@ impl<'a> Check<'a> {
         CheckReport { findings: self.findings.finish(), histograms }
     }
 
-    /// Sensors that do not measure from the beginning to the end.
+    /// Reports sensors that do not measure from the beginning to the end.
     fn check_spans(&mut self) {
         let spans = || self.stamps.values().filter_map(Stamps::span);
         let (Some(start), Some(end)) = (spans().map(|s| s.0).min(), spans().map(|s| s.1).max()) else {
@@ -246,7 +246,7 @@ impl<'a> Check<'a> {
         }
     }
 
-    /// What all sensors lag behind alike: a recording of a recording is no fault.
+    /// Lag that all sensors share: it comes from recording a recording, which is no fault.
     fn common_lag(&self) -> f64 {
         let lags = || self.stamps.values().filter_map(Stamps::lag);
         let (least, most) = (lags().fold(f64::INFINITY, f64::min), lags().fold(f64::NEG_INFINITY, f64::max));
@@ -293,7 +293,8 @@ impl<'a> Check<'a> {
 }
 
 impl Check<'_> {
-    /// Scans against each other, and ways of odometry against theirs. Where it turns otherwise, the comparison of turns tells it.
+    /// Compares scans with each other, and translations of odometry with theirs. Faults in rotation are
+    /// reported by the comparison of rotations.
     fn compare_scans(&mut self, recording: &dyn Recording, plan: &SensorPlan) -> Result<(), RecordingError> {
         if plan.dimension != Dimension::TwoD {
             return Ok(());
@@ -336,7 +337,7 @@ impl Check<'_> {
         Ok(())
     }
 
-    /// Turns of each sensor against odometry, or against the IMU if there is no odometry.
+    /// Compares the rotation of each sensor with odometry, or with the IMU if there is no odometry.
     fn compare_turns(&mut self, plan: Option<&SensorPlan>, offsets: &[ClockOffset]) {
         let (mut all, mut imus) = (Vec::new(), Vec::new());
         for (topic, checks) in &self.topics {
@@ -427,13 +428,13 @@ fn add_cloud(
     span_of(&points)
 }
 
-/// When the first and the last point were measured; none without a point.
+/// Times at which the first and the last point were measured; none without a point.
 fn span_of(points: &TimedPoints) -> Option<(Time, Time)> {
     let earliest = points.points.iter().map(|point| point.time).reduce(f32::min)?.min(0.0);
     Some((points.time + Duration::from_seconds(f64::from(earliest)), points.time))
 }
 
-/// The sensor of a topic in the frame that is upright, if there is one, and it is fixed there.
+/// Pose of the sensor of a topic in the upright frame, if there is one and the sensor is fixed there.
 fn mounting(inventory: &Inventory, topic: &str, plan: Option<&SensorPlan>) -> Option<Rigid3> {
     let frame = inventory.topic(topic)?.frame.as_deref()?;
     let scanners = plan.iter().flat_map(|p| &p.range).map(|range| &*range.source.frame);

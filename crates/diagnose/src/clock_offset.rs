@@ -1,4 +1,5 @@
-//! What was measured of an IMU by matching sweeps of a lidar, the offset of its clock and how it turns, and what is said of it.
+//! Results for an IMU from matching sweeps of a lidar (offset of its clock, rotation against the lidar), and
+//! the findings from them.
 
 use portolan_geometry::Vector3;
 use std::sync::Arc;
@@ -13,19 +14,21 @@ pub struct ClockOffset {
     pub lidar: Arc<str>,
     /// Topic of the IMU.
     pub imu: Arc<str>,
-    /// By how many seconds the lidar is stamped too late against the IMU.
+    /// Time by which the lidar is stamped too late against the IMU, seconds.
     pub seconds: f64,
-    /// Standard deviation of that, seconds, estimated with 19 degrees of freedom.
+    /// Standard deviation of the offset, seconds, estimated with 19 degrees of freedom.
     pub sigma: f64,
-    /// Whether the points of the lidar have times; without, nobody knows which part of a sweep its stamp is of.
+    /// Whether the points of the lidar have times; without them it is unknown which part of a sweep its
+    /// stamp belongs to.
     pub has_point_times: bool,
 }
 
-/// Offsets beyond these are told and warned of, seconds: of lidars whose points have times, and of others, whose
-/// sweeps last a tenth of a second. At 1 rad/s the first one puts points that are 10 m away off by 10 cm.
+/// Offsets above which they are reported, and above which the report is a warning, seconds: first for lidars
+/// whose points have times, then for others, whose sweeps take a tenth of a second. At 1 rad/s the first
+/// value displaces points at 10 m by 10 cm.
 const OFFSETS: [[f64; 2]; 2] = [[0.01, 0.035], [0.05, 0.1]];
-/// They must be exceeded by so many standard deviations: for a clock at that limit, one in two thousand is told
-/// (Student's t with 19 degrees of freedom, one side).
+/// Number of standard deviations by which an offset has to exceed them: for a clock exactly at the limit,
+/// one in two thousand is reported (Student's t with 19 degrees of freedom, one side).
 const SURE: f64 = 3.9;
 
 impl ClockOffset {
@@ -33,7 +36,7 @@ impl ClockOffset {
         OFFSETS[usize::from(!self.has_point_times)]
     }
 
-    /// Whether the clocks are surely apart by more than measurements may be.
+    /// Whether the offset certainly exceeds measurement errors, so that it is reported.
     pub fn is_told(&self) -> bool {
         let [told, _] = self.limits();
         self.seconds.abs() - SURE * self.sigma > told
@@ -47,23 +50,24 @@ impl ClockOffset {
     }
 }
 
-/// What the turns of lidars in 3D tell of the IMU.
+/// Results for the IMU from the rotations of lidars in 3D.
 #[derive(Clone, Debug, Default)]
 pub struct ImuComparison {
-    /// The offset of the clock of each lidar against that of the IMU; of those for which the recording tells it.
+    /// Offset of the clock of each lidar against that of the IMU, where the recording determines it.
     pub offsets: Vec<ClockOffset>,
-    /// How the IMU turns, where all lidars tell that it does not turn as they do.
+    /// How the IMU rotates, where all lidars agree that it rotates differently.
     pub mounting: Option<ImuMounting>,
-    /// By how little it is mounted otherwise than the transforms say, where it turns as they do and that is beyond doubt.
+    /// Small error of its mounting in the transforms, where it otherwise rotates like the lidars and the
+    /// error is certain.
     pub misalignment: Option<ImuMisalignment>,
 }
 
-/// An IMU that is mounted a few degrees otherwise than the transforms say.
+/// An IMU whose mounting differs by a few degrees from the transforms.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImuMisalignment {
     /// Its topic.
     pub imu: Arc<str>,
-    /// The rotation vector that turns what it measures to what the transforms say, in the tracking frame, radians.
+    /// Rotation vector from its measured axes to those of the transforms, in the tracking frame, radians.
     pub rotation: Vector3,
     /// Standard deviation of its length, radians.
     pub sigma: f64,
@@ -91,22 +95,23 @@ impl ImuComparison {
     }
 }
 
-/// How an IMU turns that does not turn as the lidar does: its transform, its axes or its units are others than said.
+/// How an IMU rotates that does not rotate like the lidar: its transform, its axes or its units differ from
+/// those assumed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImuMounting {
     /// Its topic.
     pub imu: Arc<str>,
-    /// Angle between its axes and those that the transforms say, radians.
+    /// Angle between its axes and those of the transforms, radians.
     pub turned: f64,
-    /// How many times as fast as the lidar it turns; negative if the other way round.
+    /// Ratio of its angular velocity to that of the lidar; negative if the directions are opposite.
     pub factor: f64,
 }
 
-/// How many times as fast a gyroscope seems to turn that is in degrees per second: 57.3 times, as good as scans tell.
+/// Range of the ratio for a gyroscope in degrees per second: 57.3, within the accuracy of scans.
 const DEGREES: std::ops::Range<f64> = 50.0..65.0;
 
 impl ImuMounting {
-    /// Whether nothing is wrong but the unit of angular velocities: they are in degrees per second.
+    /// Whether only the unit of angular velocities is wrong: they are in degrees per second.
     pub fn is_in_degrees(&self) -> bool {
         self.turned == 0.0 && DEGREES.contains(&self.factor)
     }

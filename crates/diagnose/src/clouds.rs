@@ -1,4 +1,4 @@
-//! Point clouds of one topic.
+//! Checks the point clouds of one topic.
 
 use portolan_ingest::{CloudError, CloudFaults, CloudLayout, PointTime, PointTimeOrigin};
 use portolan_issue::Severity;
@@ -63,7 +63,7 @@ const HUGE: Kind = Kind {
     effect: "mapping takes them, but each is held in memory several times over, and time goes with the points",
     to_do: "map with a topic of single sweeps; accumulated clouds have lost the motion in them",
 };
-/// Single sweeps have fewer points.
+/// Number of points above which a cloud is no single sweep.
 const HUGE_POINTS: u64 = 1_000_000;
 
 /// Point clouds of one topic.
@@ -75,12 +75,12 @@ pub(crate) struct CloudChecks {
 }
 
 impl CloudChecks {
-    /// A cloud that cannot be understood.
+    /// Adds a finding for a cloud that cannot be decoded.
     pub fn add_error(topic: &str, error: CloudError, findings: &mut Findings) {
         findings.add(&UNUSABLE, topic, || error.to_string());
     }
 
-    /// A cloud, and what was wrong with its points.
+    /// Checks a cloud, given the faults of its points.
     pub fn add(
         &mut self,
         topic: &str,
@@ -129,7 +129,7 @@ impl CloudChecks {
         }
     }
 
-    /// Findings about the whole topic.
+    /// Adds findings about the whole topic.
     pub fn finish(self, topic: &str, findings: &mut Findings) {
         let (not_finite, far_time, zero) = (self.not_finite, self.far_time, self.zero);
         if far_time > 0 {

@@ -1,4 +1,5 @@
-//! Whether any scan lies within the time of the other sensors, without which it cannot be used.
+//! Checks that at least one scan is within the time span of the other sensors, without which no scan can be
+//! used.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -16,7 +17,7 @@ const NO_SCANS: Kind = Kind {
     to_do: "record for longer; or map without the sensor that ends too early (--no-imu, --no-odometry)",
 };
 
-/// When topics measured.
+/// Time spans in which topics have measurements.
 #[derive(Debug, Default)]
 pub(crate) struct Coverage {
     spans: BTreeMap<Arc<str>, (Time, Time)>,
@@ -25,7 +26,7 @@ pub(crate) struct Coverage {
 }
 
 impl Coverage {
-    /// Takes a measurement; of scans also from when until when they measured.
+    /// Takes a measurement; of a scan also the times of its first and last point.
     pub fn add(&mut self, topic: &Arc<str>, time: Time, sweep: Option<(Time, Time)>) {
         let span = self.spans.entry(topic.clone()).or_insert((time, time));
         *span = (time.min(span.0), time.max(span.1));
@@ -34,7 +35,8 @@ impl Coverage {
         }
     }
 
-    /// Says so if no scan that the plan uses lies within the time of the IMU and odometry that it uses.
+    /// Adds a finding if no scan that the plan uses is within the time span of the IMU and odometry that it
+    /// uses.
     pub fn finish(&self, plan: &SensorPlan, findings: &mut Findings) {
         let odometry = plan.odometry.as_ref().filter(|odometry| odometry.topic().is_some());
         let odometry = odometry.map(|odometry| &odometry.source);

@@ -3,24 +3,24 @@
 use portolan_issue::Severity;
 use std::collections::BTreeMap;
 
-/// Something about a recording that mapping cares about.
+/// A fault or remarkable property of a recording that affects mapping.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Finding {
     /// How bad it is.
     pub severity: Severity,
     /// The topic; empty if it is about the whole recording.
     pub topic: String,
-    /// How often it was seen.
+    /// Number of occurrences.
     pub count: u64,
-    /// What it is, with the numbers of the first (or worst) case.
+    /// Description, with the numbers of the first (or worst) case.
     pub what: String,
-    /// What it does to mapping.
+    /// Its effect on mapping.
     pub effect_on_slam: String,
-    /// What to do about it.
+    /// Remedy.
     pub what_to_do: String,
 }
 
-/// A kind of finding: all that does not depend on the case.
+/// A kind of finding: the parts that do not depend on the case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Kind {
     pub name: &'static str,
@@ -29,7 +29,7 @@ pub(crate) struct Kind {
     pub to_do: &'static str,
 }
 
-/// More findings than this of all topics together are only counted.
+/// Maximum number of findings of all topics together; further ones are only counted.
 const MAX_FINDINGS: usize = 500;
 
 /// Collects findings: one for each kind and topic.
@@ -41,7 +41,7 @@ pub(crate) struct Findings {
 }
 
 impl Findings {
-    /// Takes a finding; of several of a kind and topic the first text is kept.
+    /// Adds a finding; of several findings of a kind and topic the first text is kept.
     pub fn add(&mut self, kind: &Kind, topic: &str, what: impl FnOnce() -> String) {
         let key = (*kind, topic.to_owned());
         if let Some(finding) = self.index.get(&key).and_then(|i| self.list.get_mut(*i)) {
@@ -63,7 +63,7 @@ impl Findings {
         });
     }
 
-    /// Takes a finding as it is.
+    /// Adds a finding unchanged.
     pub fn push(&mut self, finding: Finding) {
         if self.list.len() < MAX_FINDINGS {
             self.list.push(finding);
@@ -72,7 +72,7 @@ impl Findings {
         }
     }
 
-    /// The worst first, otherwise in the order in which they were seen.
+    /// Returns the findings, the worst first, otherwise in the order in which they were found.
     pub fn finish(mut self) -> Vec<Finding> {
         if self.dropped > 0 {
             self.list.push(Finding {
@@ -90,7 +90,7 @@ impl Findings {
 }
 
 impl Finding {
-    /// Three lines for people.
+    /// Three lines of text for the user.
     pub fn to_text(&self) -> String {
         let severity = self.severity.name();
         let about = if self.topic.is_empty() { String::new() } else { format!("{}: ", self.topic) };
@@ -105,7 +105,7 @@ impl Finding {
     }
 }
 
-/// All findings for people.
+/// All findings as text for the user.
 pub fn findings_to_text(findings: &[Finding]) -> String {
     findings.iter().map(Finding::to_text).collect()
 }

@@ -1,4 +1,5 @@
-//! Satellite fixes of one topic: places that are none, jumps, receivers that hang.
+//! Checks the satellite fixes of one topic: impossible positions, jumps, and receivers that repeat old
+//! fixes.
 
 use portolan_geometry::{GeodeticPosition, Time, Vector3};
 use portolan_issue::Severity;
@@ -31,18 +32,20 @@ const HANGS: Kind = Kind {
     to_do: "see whether the receiver or its driver hangs; real ones change in their last digits at rest, too",
 };
 
-/// Nothing that carries a lidar on the ground is faster, m/s; and fixes may be off by so much, metres.
+/// Speed above which a fix jumps, m/s: no ground platform with a lidar is faster.
 const MAX_SPEED: f64 = 60.0;
+/// Error of fixes that is allowed before a jump, metres.
 const USUAL_ERROR: f64 = 10.0;
-/// A fix that is repeated to the last digit for so many seconds, and so often, is an old one.
+/// Time from which a fix that repeats to the last digit is an old one, seconds.
 const LONG: f64 = 5.0;
+/// Number of repeats from which it is an old one.
 const OFTEN: u32 = 10;
 
 /// Satellite fixes of one topic.
 #[derive(Debug, Default)]
 pub(crate) struct FixChecks {
     last: Option<(Time, Vector3)>,
-    /// When the last place came first, and how often it was repeated.
+    /// Time of the first fix of the last position, and number of its repeats.
     repeats: Option<(Time, u32)>,
 }
 
@@ -95,7 +98,7 @@ mod tests {
     use crate::finding::findings_to_text;
     use portolan_recording::Header;
 
-    /// Five fixes a second, of which each is as `of` says: latitude, longitude, status.
+    /// Five fixes a second with latitude, longitude and status from `of`.
     fn told(of: impl Fn(i32) -> (f64, f64, i8)) -> String {
         let (mut checks, mut findings) = (FixChecks::default(), Findings::default());
         for i in 0..100 {

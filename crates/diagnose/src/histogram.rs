@@ -1,8 +1,8 @@
-//! Histograms as text (`spec/tools.md` §2.6).
+//! Writes histograms as text (`spec/tools.md` §2.6).
 
 use std::fmt::Write;
 
-/// Most values that are kept; the rest are counted into minimum, maximum and mean only.
+/// Maximum number of values that are kept; further ones are only counted as dropped.
 const MAX_VALUES: usize = 1 << 20;
 const BUCKETS: usize = 10;
 const BAR: usize = 20;
@@ -15,7 +15,7 @@ pub struct Histogram {
 }
 
 impl Histogram {
-    /// Adds a value; what is not finite is left out.
+    /// Adds a value; non-finite values are left out.
     pub fn add(&mut self, value: f64) {
         if !value.is_finite() {
             return;
@@ -37,13 +37,13 @@ impl Histogram {
         self.values.iter().copied().max_by(f64::total_cmp)
     }
 
-    /// The middle value.
+    /// Median.
     pub fn median(&self) -> Option<f64> {
         portolan_numeric::median(&mut self.values.clone())
     }
 
-    /// `Count: n  Min: a  Max: b  Mean: m`, then one line for each of ten equal parts from least to
-    /// largest, with a bar of up to 20 `#`, count, share and the running total.
+    /// `Count: n  Min: a  Max: b  Mean: m`, then one line for each of ten equal bins from the least to the
+    /// largest value, with a bar of up to 20 `#`, count, fraction and the running total.
     pub fn to_text(&self) -> String {
         let (Some(min), Some(max)) = (self.values.iter().copied().min_by(f64::total_cmp), self.max()) else {
             return "Count: 0".to_owned();

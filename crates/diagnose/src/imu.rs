@@ -1,4 +1,5 @@
-//! IMU samples of one topic (checks 1 and 13 of `spec/tools.md` §2.6), units and direction of gravity.
+//! Checks the IMU samples of one topic (checks 1 and 13 of `spec/tools.md` §2.6), units and direction of
+//! gravity.
 
 use portolan_geometry::{Rigid3, Vector3};
 use portolan_ingest::{FAST_TURN, MAX_ACCELERATION, MAX_ANGULAR_VELOCITY, is_partial};
@@ -77,12 +78,14 @@ const AXES: Kind = Kind {
     to_do: "give the mounting of the IMU in the transforms, or let the driver send x forward, y left, z up",
 };
 
-/// Beyond this the IMU does not lean, its axes are others, degrees.
+/// Angle above which the IMU does not lean but has other axes, degrees.
 const OTHER_AXES: f64 = 60.0;
 
-/// Accelerations that are usually smaller than this have no gravity, m/s², unless they are about 1: then they are in
-/// g if they do not cancel out.
+/// Median acceleration below which gravity is missing, m/s². Values about 1 are an exception: they are in g
+/// if they do not cancel out.
+/// Range of median accelerations that are taken to be in g.
 const LEAST_GRAVITY: f64 = 3.0;
+/// Mean acceleration vector from which values about 1 are in g.
 const IN_G_RANGE: std::ops::Range<f64> = 0.8..1.2;
 const LEAST_MEAN_IN_G: f64 = 0.3;
 
@@ -94,7 +97,7 @@ pub(crate) struct ImuChecks {
     norms: Histogram,
     sum_of_norms: f64,
     fast: u64,
-    /// Faster than gyroscopes can measure, unless it is in degrees.
+    /// Number of samples faster than gyroscopes can measure, unless they are in degrees.
     too_fast: u64,
     rest: Rest,
     saturation: Saturation,
@@ -116,7 +119,7 @@ impl ImuChecks {
             return findings
                 .add(&NOT_A_NUMBER, topic, || format!("samples of frame_id {frame} are not numbers"));
         }
-        // Units are not known yet: in degrees per second 57 times as much is possible.
+        // Units are not known yet: in degrees per second, values may be 57 times as large.
         if acceleration.amax() > MAX_ACCELERATION || rate.amax() > 57.3 * MAX_ANGULAR_VELOCITY {
             return findings.add(&IMPOSSIBLE, topic, || {
                 format!("{:.3e} rad/s or {:.3e} m/s² in one sample", rate.amax(), acceleration.amax())
@@ -140,20 +143,20 @@ impl ImuChecks {
         }
     }
 
-    /// The direction that it shows as up, in its own frame; none if gravity was taken out.
+    /// The measured direction of up, in its own frame; none if gravity was removed.
     pub fn up(&self) -> Option<Vector3> {
         self.sum.try_normalize(1e-9).filter(|_| !self.lacks_gravity())
     }
 
-    /// Whether most accelerations are too small for gravity, also if they were in g.
+    /// Whether most accelerations are too small for gravity, even if they were in g.
     fn lacks_gravity(&self) -> bool {
         let usual = self.norms.median().unwrap_or(0.0);
-        // What shakes by a g without gravity comes to nothing on average.
+        // Vibrations of 1 g without gravity cancel out on average.
         let mean = self.sum.norm() / self.count.max(1) as f64;
         usual < LEAST_GRAVITY && (!IN_G_RANGE.contains(&usual) || mean < LEAST_MEAN_IN_G)
     }
 
-    /// Findings about the whole topic; `base_from_imu` is its mounting, if known.
+    /// Adds findings about the whole topic; `base_from_imu` is its mounting, if known.
     pub fn finish(&self, topic: &str, base_from_imu: Option<&Rigid3>, findings: &mut Findings) {
         if self.count == 0 {
             return;
@@ -203,7 +206,7 @@ impl ImuChecks {
     }
 }
 
-/// The axis that a direction is nearest to, and its sign.
+/// The axis nearest to a direction, and its sign.
 pub(super) fn axis_of(direction: &Vector3) -> (&'static str, &'static str) {
     let axis = direction.iamax();
     (["x", "y", "z"][axis], if direction[axis] < 0.0 { "-" } else { "+" })

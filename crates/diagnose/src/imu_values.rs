@@ -1,5 +1,5 @@
-//! What the values of an IMU tell by themselves: the bias of its gyroscope while it rests, and readings that were
-//! cut off at the end of its range.
+//! Checks the values of one IMU: estimates the gyroscope bias at rest, and finds readings that were
+//! saturated at the end of the measuring range.
 
 use portolan_geometry::{Time, Vector3};
 use portolan_issue::Severity;
@@ -26,20 +26,23 @@ const SATURATED: Kind = Kind {
     to_do: "set a larger range of the sensor (degrees per second, g), or mount it on dampers",
 };
 
-/// Windows of rest, seconds.
+/// Length of the time windows in which rest is detected, seconds.
 const WINDOW: f64 = 1.0;
-/// While resting readings spread less than this, rad/s and m/s², and the gyroscope shows less than that.
+/// Standard deviation of angular velocities at rest, at most, rad/s.
 const REST_RATE_SPREAD: f64 = 0.02;
+/// Standard deviation of accelerations at rest, at most, m/s².
 const REST_ACCELERATION_SPREAD: f64 = 0.25;
+/// Mean angular velocity at rest, at most, rad/s.
 const REST_RATE: f64 = 0.2;
-/// So many windows of rest tell the bias.
+/// Minimum number of windows at rest to estimate the bias.
 const ENOUGH_WINDOWS: usize = 2;
-/// Windows that differ more than this are slow turns, not rest, rad/s.
+/// Median deviation between the windows above which they are slow rotation, not rest, rad/s.
 const SAME_BIAS: f64 = 0.01;
-/// Biases above these are told and warned of, rad/s.
+/// Bias above which it is reported, rad/s.
 const TOLD_BIAS: f64 = 1e-3;
+/// Bias above which the report is a warning, rad/s.
 const WARNED_BIAS: f64 = 0.02;
-/// Most windows that are kept.
+/// Maximum number of windows that are kept.
 const MAX_WINDOWS: usize = 10_000;
 
 /// Mean readings of windows of rest.
@@ -84,7 +87,7 @@ impl Rest {
         *self = Self { biases: std::mem::take(&mut self.biases), ..Self::default() };
     }
 
-    /// The bias of the gyroscope, rad/s; none if it never rested.
+    /// Bias of the gyroscope, rad/s; none if the IMU never was at rest.
     fn bias(&self) -> Option<Vector3> {
         let axis = |i: usize| median(self.biases.iter().map(|b| b[i]).collect());
         let bias = Vector3::new(axis(0), axis(1), axis(2));
@@ -105,8 +108,8 @@ impl Rest {
     }
 }
 
-/// Readings of one axis at the end of its range. A range that ends shows by the same largest value again and again,
-/// one sample after the other.
+/// Readings of one axis at the end of its range. A saturated reading repeats exactly the same largest value
+/// in consecutive samples.
 #[derive(Clone, Copy, Debug)]
 struct Extreme {
     value: f64,
@@ -135,17 +138,19 @@ impl Extreme {
     }
 }
 
-/// So many samples must follow another of the same largest value …
+/// Minimum number of samples that follow another one of the same largest value.
 const ENOUGH_RUNS: u64 = 5;
-/// … which must be at least this (gyroscope, accelerometer) …
+/// Smallest value that can be saturated (gyroscope, rad/s; accelerometer, m/s²).
 const LEAST: [f64; 2] = [0.2, 2.0];
-/// … and away from the mean by this fraction of all values, or the axis only rests there.
+/// Minimum distance of a saturated value from the mean, as a fraction of the range of all values; nearer
+/// values are those of an axis at rest.
 const AWAY: f64 = 0.25;
 
 /// Ends of the ranges of gyroscope and accelerometer.
 #[derive(Debug, Default)]
 pub(super) struct Saturation {
-    /// Gyroscope x, y, z, accelerometer x, y, z: upwards and downwards.
+    /// For gyroscope x, y, z, accelerometer x, y, z: the largest values in positive and in negative
+    /// direction.
     ends: [[Extreme; 2]; 6],
     sums: [f64; 6],
     count: u64,

@@ -1,4 +1,4 @@
-//! What a recording holds.
+//! Describes the contents of a recording.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -25,16 +25,16 @@ pub struct TopicDescription {
     pub rate: Option<f64>,
     /// Frame of its messages.
     pub frame: Option<String>,
-    /// Frame whose pose odometry tells.
+    /// Child frame of odometry, whose pose it measures.
     pub child_frame: Option<String>,
-    /// What the sensor is like, in words.
+    /// Description of the sensor in words.
     pub sensor: Option<String>,
 }
 
-/// What mapping would use.
+/// Sensors and settings that mapping would use.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct PlanDescription {
-    /// In 2D or in 3D.
+    /// 2D or 3D.
     pub dimension: Dimension,
     /// The frame whose motion is mapped.
     pub tracking_frame: String,
@@ -44,11 +44,11 @@ pub struct PlanDescription {
     pub odometry: Option<String>,
     /// Topic of the IMU.
     pub imu: Option<String>,
-    /// What was chosen and how to choose otherwise.
+    /// Choices that were made, and how to choose otherwise.
     pub notices: Vec<Notice>,
 }
 
-/// What a recording holds.
+/// Contents of a recording.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct RecordingInfo {
     /// Name of the format.
@@ -61,7 +61,7 @@ pub struct RecordingInfo {
     pub start_time: Option<String>,
     /// Unix seconds of the last message.
     pub end_time: Option<String>,
-    /// Seconds in between.
+    /// Time between them, seconds.
     pub duration: f64,
     /// All topics in ascending order.
     pub topics: Vec<TopicDescription>,
@@ -69,16 +69,16 @@ pub struct RecordingInfo {
     pub frames: Vec<String>,
     /// The tree of transforms, one frame a line.
     pub transforms: String,
-    /// What mapping would use.
+    /// Sensors and settings that mapping would use.
     pub plan: Option<PlanDescription>,
-    /// Why it cannot be mapped.
+    /// Reason why it cannot be mapped.
     pub obstacle: Option<String>,
-    /// What had to be repaired or left out to say this.
+    /// Data that had to be repaired or left out for this description.
     pub issues: Vec<Issue>,
 }
 
-/// Sums up a recording. Reads its beginning only, if its index tells the rest; otherwise all of it.
-/// `progress` is told the bytes read so far.
+/// Describes a recording. Reads only its beginning if its index contains the rest, otherwise all of it.
+/// `progress` receives the number of bytes read so far.
 ///
 /// # Errors
 /// If the recording cannot be read.
@@ -117,10 +117,12 @@ pub fn info(
     })
 }
 
-/// Smaller recordings are read whole, bytes: damage within them shows, and it takes a second.
+/// Size below which a recording is read completely, bytes: damage in it is then found, and it takes a
+/// second.
 const READ_WHOLE: u64 = 256 << 20;
 
-/// What the index tells; none if it, or what leads to the messages, is damaged: then no more than reading all tells what is left.
+/// Counts from the index; none if the index, or the structure that leads to the messages, is damaged: then
+/// only reading all messages shows what is left.
 fn by_index(recording: &dyn Recording, range: (Time, Time)) -> Result<Option<Counts>, RecordingError> {
     let counts = recording.topics().into_iter().map(|t| (t.topic, t.count.unwrap_or(0))).collect();
     let mut reader = recording.read(&|_| false)?;
@@ -211,7 +213,7 @@ fn describe_plan(inventory: &Inventory, options: &IngestOptions) -> Result<PlanD
 }
 
 impl RecordingInfo {
-    /// For people.
+    /// The description as text for the user.
     pub fn to_text(&self) -> String {
         let mut text = format!("format:   {}\nsize:     {}\n", self.format, bytes(self.size_bytes));
         let _ = writeln!(text, "messages: {}", self.messages);

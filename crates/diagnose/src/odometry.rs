@@ -1,4 +1,4 @@
-//! Odometry of one topic (check 2 of `spec/tools.md` §2.6), jumps and motion out of the plane.
+//! Checks the odometry of one topic (check 2 of `spec/tools.md` §2.6), jumps and motion out of the plane.
 
 use portolan_geometry::{Rigid3, Time, yaw};
 use portolan_ingest::pose_of;
@@ -32,8 +32,9 @@ const NO_MOTION: Kind = Kind {
     to_do: "leave it out with --no-odometry if the robot did move",
 };
 
-/// Nothing on wheels or legs is faster than this, m/s and rad/s.
+/// Speed above which a motion is a jump, m/s: wheeled and legged robots are slower.
 const MAX_SPEED: f64 = 40.0;
+/// Angular velocity above which a motion is a jump, rad/s.
 const MAX_TURN: f64 = 20.0;
 
 /// Odometry of one topic.
@@ -42,11 +43,11 @@ pub(crate) struct OdometryChecks {
     last: Option<(Time, Rigid3)>,
     path: f64,
     turned: f64,
-    /// Turns between messages: start and end time, radians.
+    /// Rotations between messages: start and end time, radians.
     pub turns: Vec<(Time, Time, f64)>,
 }
 
-/// So many turns are kept to compare with other sensors.
+/// Maximum number of rotations that are kept to compare with other sensors.
 const MAX_TURNS: usize = 500_000;
 
 impl OdometryChecks {
@@ -87,7 +88,7 @@ impl OdometryChecks {
         }
     }
 
-    /// Findings about the whole topic.
+    /// Adds findings about the whole topic.
     pub fn finish(&self, topic: &str, findings: &mut Findings) {
         if self.turns.len() > 10 && self.path < 0.01 && self.turned < 0.01 {
             findings.add(&NO_MOTION, topic, || "odometry does not move at all".to_owned());

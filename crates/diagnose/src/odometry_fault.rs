@@ -1,8 +1,10 @@
-//! Odometry in other units or another frame than said: it turns the other way, goes a hundred times as far, or to the side.
+//! Detects odometry in other units or another frame than assumed: it rotates the other way, moves a hundred
+//! times as far, or sideways.
 //!
-//! Over windows of a second the motions of odometry, as complex numbers in the frame of the scanner, are laid over those of scans by
-//! one complex factor in the sense of least squares: its length tells units, its angle the direction in which the scanner is
-//! mounted. It is a fault only where the two agree well with the factor and badly without.
+//! Over windows of a second, the motions of odometry, as complex numbers in the frame of the scanner, are
+//! fitted to those of scans by one complex factor (least squares). The length of the factor gives the units,
+//! its angle the direction in which the scanner is mounted. It is a fault only where the two agree well with
+//! the factor and badly without.
 
 use std::fmt;
 
@@ -12,49 +14,54 @@ use portolan_geometry::{Duration, Rigid2, Rigid3, TransformBuffer, project_2d};
 use crate::rotation::{Agreement, ENOUGH_TURNS, Turn, compare};
 use crate::scan_motion::TimedMotion;
 
-/// Motions are compared over so many seconds.
+/// Duration over which motions are compared, seconds.
 const WINDOW: f64 = 1.0;
-/// A window counts if the scanner went so far in it, metres.
+/// Minimum distance that the scanner moves in a window for the window to count, metres.
 const LEAST_WAY: f64 = 0.1;
-/// So many windows tell.
+/// Minimum number of windows for a result.
 const ENOUGH_WINDOWS: usize = 30;
-/// The share of windows that counts: scans are matched wrongly now and then, and wheels slip.
+/// Fraction of windows that is used, those that fit best: scans are matched wrongly now and then, and wheels
+/// slip.
 const KEPT: f64 = 0.8;
-/// Motions do not agree if such a share of them (root mean square) is left …
+/// Fraction of the motions (root mean square) that is left unexplained without a factor, above which they do
+/// not agree.
 const LEFT: f64 = 0.5;
-/// … and less than this is left with the factor.
+/// Fraction that is left unexplained with the factor, below which the factor explains the difference.
 const LEFT_OTHERWISE: f64 = 0.2;
-/// Odometry stands in a window in which it goes less than this share of the way of scans, and altogether if it does in this
-/// share of windows. In other units it goes so little, too, but is explained by a factor.
+/// Ratio of the distance of odometry to that of scans below which odometry stands still in a window. In
+/// other units it may move as little, but then a factor explains it.
 const OF_STANDING: f64 = 1e-4;
+/// Fraction of windows at rest from which odometry stands still altogether.
 const MOSTLY_STANDS: f64 = 0.95;
-/// Turns that correlate so well agree but for a factor, and less than this they do not agree; a factor between these is a matter of
-/// calibration.
+/// Correlation of rotations from which they agree except for a factor.
 const ALIKE: f64 = 0.8;
+/// Correlation of rotations below which they do not agree.
 const UNLIKE: f64 = 0.5;
+/// Range of factors that are a matter of calibration and no fault.
 const CALIBRATION: std::ops::Range<f64> = 0.5..2.0;
 
-/// How the motions of odometry differ from those of scans.
+/// Difference between the motions of odometry and those of scans.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OdometryFault {
-    /// It turns so many times as far as scans; negative if the other way round.
+    /// Its rotations are this multiple of those of scans; negative if in the opposite direction.
     Turns(f64),
-    /// It goes elsewhere.
+    /// Its translations have another length or direction.
     Ways {
-        /// So many times as far as scans.
+        /// Ratio of their lengths to those of scans.
         factor: f64,
-        /// To the left of them by this angle, radians.
+        /// Angle from the translations of scans to those of odometry, counter-clockwise (to the left),
+        /// radians.
         angle: f64,
     },
     /// It stays where it is while scans move.
     Stands,
-    /// Neither its turns nor its ways are those of scans, and no factor makes them so.
+    /// Neither its rotations nor its translations agree with scans, and no factor makes them agree.
     Unlike,
 }
 
 impl OdometryFault {
-    /// From turns of odometry and scanner, poses of odometry and motions of the scanner, where the scanner is in the frame of the
-    /// odometry, and by how many seconds its stamps are late.
+    /// Compares rotations of odometry and scanner, and poses of odometry with motions of the scanner. Also
+    /// takes the pose of the scanner in the frame of the odometry, and the delay of its stamps, seconds.
     pub(crate) fn find(
         (of_wheels, of_scans): (&[Turn], &[Turn]),
         (poses, motions): (&TransformBuffer, &[TimedMotion]),
@@ -69,7 +76,7 @@ impl OdometryFault {
             && correlation.abs() > ALIKE
             && !CALIBRATION.contains(&(1.0 / slope))
         {
-            // Odometry that turns wrongly has its ways in wrong directions.
+            // Odometry with wrong rotations has translations in wrong directions.
             return Some(Self::Turns(1.0 / slope));
         }
         let fit = Fit::of(windows.into_iter().map(|window| window.ways).collect())?;
@@ -83,7 +90,8 @@ impl OdometryFault {
         agreement.is_some_and(|agreement| agreement.correlation < UNLIKE).then_some(Self::Unlike)
     }
 
-    /// Whether left and right are exchanged: by a scanner that is mounted upside down, or by the odometry.
+    /// Whether left and right are exchanged: the scanner is mounted upside down, or the odometry is
+    /// mirrored.
     pub fn is_mirrored(&self) -> bool {
         matches!(self, Self::Turns(factor) if *factor < 0.0)
     }
@@ -111,13 +119,14 @@ impl fmt::Display for OdometryFault {
     }
 }
 
-/// Ways that scans and odometry tell, metres in the frame of the scanner.
+/// Translations measured by scans and odometry, metres in the frame of the scanner.
 type Pair = (Complex<f64>, Complex<f64>);
 
-/// What scans and odometry tell of a window in which the scanner moved.
+/// Motion in a window in which the scanner moved.
 struct Window {
     ways: Pair,
-    /// How far the frame of the odometry went, metres: the scanner beside it goes where that turns, too.
+    /// Distance that the frame of the odometry moved, metres. A scanner beside it also moves if that frame
+    /// rotates.
     gone: f64,
 }
 
@@ -151,18 +160,19 @@ fn windows(
     windows
 }
 
-/// Whether odometry goes nowhere in nearly all windows in which the scanner moves.
+/// Whether odometry does not move in nearly all windows in which the scanner moves.
 fn stands(windows: &[Window]) -> bool {
     let standing = windows.iter().filter(|window| window.gone < OF_STANDING * window.ways.0.norm()).count();
     windows.len() >= ENOUGH_WINDOWS && standing as f64 >= MOSTLY_STANDS * windows.len() as f64
 }
 
-/// Ways of odometry laid over those of scans.
+/// Fit of the translations of odometry to those of scans.
 struct Fit {
-    /// What ways of odometry are multiplied by.
+    /// Factor for the translations of odometry.
     factor: Complex<f64>,
-    /// The share of the ways of scans that is left without it, and with it.
+    /// Fraction of the translations of scans that is left unexplained without the factor (root mean square).
     as_said: f64,
+    /// The same with the factor.
     explained: f64,
 }
 
@@ -171,7 +181,7 @@ impl Fit {
         if pairs.len() < ENOUGH_WINDOWS {
             return None;
         }
-        // Jumps of the odometry would decide a mean.
+        // Jumps of the odometry would dominate a mean.
         let mut factors: Vec<Complex<f64>> =
             pairs.iter().filter(|p| p.1.norm() > 0.0).map(|p| p.0 / p.1).collect();
         let median = Complex::new(median(&mut factors, |c| c.re)?, median(&mut factors, |c| c.im)?);
@@ -200,7 +210,7 @@ mod tests {
     use super::*;
     use portolan_geometry::{Time, embed_3d};
 
-    /// Scans and odometry of a drive with bends, of which odometry tells each step as `told`.
+    /// Scans and odometry of a drive with bends, in which odometry reports each step as `told`.
     fn fault(told: impl Fn(Rigid2) -> Rigid2) -> Option<OdometryFault> {
         let at = |i: i32| Time::from_ticks(i64::from(i) * 2_000_000);
         let (mut of_wheels, mut of_scans, mut poses) = (Vec::new(), Vec::new(), TransformBuffer::default());

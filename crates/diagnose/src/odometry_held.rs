@@ -1,7 +1,9 @@
-//! Odometry that is held back: a driver hands on the last pose that it has, again and again, and the motion of that time at once later.
+//! Detects odometry that is held back: a driver repeats the last pose that it has, and later sends the
+//! motion of that time at once.
 //!
-//! A pose that repeats to the last digit says that the robot stands, or that nothing new was measured. Where scans moved meanwhile,
-//! and the next pose that differs tells the motion of the whole time, it was the second.
+//! A pose that repeats to the last digit means that the robot is at rest, or that nothing new was measured.
+//! It is the latter if scans moved meanwhile and the next different pose contains the motion of the whole
+//! time.
 
 use std::fmt;
 
@@ -10,25 +12,27 @@ use portolan_geometry::{Rigid2, Rigid3, Time, project_2d};
 
 use crate::scan_motion::TimedMotion;
 
-/// Scans must have moved by so much while the pose was repeated, metres, a radian counting as one …
+/// Minimum motion of scans while the pose was repeated, metres; a radian counts as a metre.
 const LEAST_MOTION: f64 = 0.1;
-/// … and so fast, m/s: those of a robot that stands drift.
+/// Minimum speed of that motion, m/s: scans of a robot at rest drift.
 const LEAST_SPEED: f64 = 0.1;
-/// By so many standard deviations motions that were told must be nearer to those of the whole time than they would be by chance.
+/// Number of standard deviations above chance by which the reported motions have to be nearer to those of
+/// the whole time.
 const SURE: f64 = 2.5;
-/// Scans between a pose and its last repeat, and from there to the next pose, begin and end so close to these at most, seconds.
+/// Maximum time between a pose, or its last repeat, and the scan at which the compared motion begins or
+/// ends, seconds.
 const NEAR: f64 = 0.5;
 
 /// How odometry holds motions back.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OdometryHold {
-    /// It repeats a pose for so many seconds at most.
+    /// Longest time for which it repeats a pose, seconds.
     pub longest: f64,
 }
 
 impl OdometryHold {
-    /// From `poses` of odometry, `motions` of the scanner, both in order of time, and where the scanner is in the frame of the odometry;
-    /// none if nothing is surely held back.
+    /// Compares `poses` of odometry and `motions` of the scanner, both in order of time, given the pose of
+    /// the scanner in the frame of the odometry. None unless motions are certainly held back.
     pub(crate) fn find(
         poses: &[(Time, Rigid3)],
         motions: &[TimedMotion],
@@ -66,14 +70,15 @@ struct Run {
 }
 
 impl Run {
-    /// Equal poses and those after them; none if there is but one.
+    /// A run of equal poses and the pose after it; none if the pose does not repeat.
     fn of(two: &[&[(Time, Rigid3)]]) -> Option<Self> {
         let [[first, .., (last, _)], [next, ..]] = two else { return None };
         Some(Self { first: *first, last: *last, next: *next })
     }
 
-    /// How much nearer the motion that the next pose tells is to that of scans since the pose came first than to that since its last
-    /// repeat, metres; none if scans did not move while it was repeated, or do not tell it.
+    /// The motion to the next pose is compared with that of scans since the first repeated pose and since
+    /// its last repeat: returns how much nearer it is to the former, metres. None if scans did not move
+    /// while the pose was repeated, or their motion is unknown.
     fn nearer_if_later(&self, motions: &[TimedMotion], odometry_from_scanner: &Rigid3) -> Option<f64> {
         let (from, to) = (self.first.0, self.next.0);
         let least = LEAST_MOTION.max(LEAST_SPEED * self.last.seconds_since(from));
@@ -86,12 +91,13 @@ impl Run {
     }
 }
 
-/// Metres, a radian counting as one.
+/// Size of a motion, metres; a radian counts as a metre.
 fn size(motion: &Rigid2) -> f64 {
     Vector3::new(motion.translation.x, motion.translation.y, motion.normalized_angle()).norm()
 }
 
-/// The motion of the scanner from the first scan after one time to the last before another, if scans tell it all the way.
+/// Motion of the scanner from the first scan after one time to the last before another, if it is known
+/// throughout.
 fn moved(motions: &[TimedMotion], from: Time, to: Time) -> Option<Rigid2> {
     let begin = motions.partition_point(|(start, ..)| *start < from);
     let is_near = |a: Time, b: Time| a.seconds_since(b).abs() < NEAR;
@@ -115,7 +121,7 @@ mod tests {
         Time::from_ticks(i64::from(scan) * 2_000_000)
     }
 
-    /// A drive of 400 scans, five a second; odometry tells the pose of the scan that `of` says.
+    /// A drive of 400 scans, five a second; odometry reports the pose of the scan with the index `of`.
     fn hold(of: impl Fn(u32) -> u32, odometry: impl Fn(Rigid2) -> Rigid2) -> Option<f64> {
         let step = |scan: u32| Rigid2::new(0.1, 0.0, 0.1 * (0.05 * f64::from(scan)).sin());
         let mut way = vec![Rigid2::identity()];
@@ -137,7 +143,7 @@ mod tests {
 
     #[test]
     fn wheels_that_stall_tell_it_never() {
-        // Of five steps the last one alone is told.
+        // Only the last of five steps is reported.
         let told = |scan: u32| scan / 5 + u32::from(scan % 5 == 4);
         assert_eq!(hold(told, |pose| pose), None);
     }

@@ -1,47 +1,49 @@
-//! The offset of two clocks, from turns that both sensors saw.
+//! Estimates the offset of two clocks from rotations that both sensors measured.
 //!
-//! Some turns of a lidar are wrong: people pass, doors come and go. At each lag differences of turns count up to
-//! a limit, so that many wrong ones pull no more than their number; the lag at which they are smallest is the
-//! offset. How sure that is, leaving out parts of the recording in turn tells (block jackknife).
+//! Some rotations of a lidar are wrong: people pass, doors come and go. At each lag, differences of
+//! rotations count up to a limit, so that large outliers count no more than their number; the lag with the
+//! lowest cost is the offset. Its uncertainty comes from leaving out parts of the recording in turn (block
+//! jackknife).
 
 use portolan_geometry::{Duration, Time};
 
 use crate::rotation::{Angle, JOINT, Turn};
 
-/// Windows are about this long, seconds: longer than the sway of a step is fast, shorter than a turn.
+/// Approximate length of windows, seconds: longer than the period of the sway of steps, shorter than a turn.
 const LENGTH: f64 = 0.25;
-/// So many windows at most are looked at.
+/// Maximum number of windows.
 const MAX_WINDOWS: usize = 4000;
-/// Lags are tried this far from a first guess and so densely, seconds.
+/// Range of lags to each side of a first guess, seconds.
 const REACH: f64 = 0.2;
+/// Step of the lags, seconds.
 const STEP: f64 = 0.01;
-/// Differences count up to so many times their usual size.
+/// Limit up to which differences count, in multiples of their usual size.
 const LIMIT: f64 = 2.5;
-/// Sensors differ by such a fraction of each turn, besides.
+/// Error of the scale of rotations between sensors, as a fraction of each rotation.
 const SCALE_ERROR: f64 = 0.2;
-/// Parts of the recording of which each is left out once.
+/// Number of parts of the recording, each of which is left out once.
 const BLOCKS: usize = 12;
-/// So many windows are needed in all.
+/// Minimum number of windows.
 const ENOUGH_WINDOWS: usize = 40;
 
 /// An offset of clocks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Offset {
-    /// By how many seconds the second sensor is stamped too late.
+    /// Time by which the second sensor is stamped too late, seconds.
     pub lag: f64,
-    /// Standard deviation of that, seconds.
+    /// Standard deviation of the lag, seconds.
     pub sigma: f64,
-    /// By how large a fraction differences are smaller than without any offset.
+    /// Relative decrease of the cost against no offset.
     pub gain: f64,
 }
 
-/// Finds the offset near `guess` of a sensor whose turns are `slope` times those of the first. None without
-/// enough common data.
+/// Finds the offset near `guess` of a sensor whose rotations are `slope` times those of the first. None
+/// without enough common data.
 pub(super) fn clock_offset(first: &Angle, second: &[Turn], slope: f64, guess: f64) -> Option<Offset> {
     let windows = windows(second);
     let steps = (REACH / STEP) as i32;
     let lags: Vec<f64> = (-steps..=steps).map(|i| guess + STEP * f64::from(i)).collect();
-    // Difference of each window at each lag; windows that are not known at all of them are left out.
+    // Difference of each window at each lag; windows that are unknown at any of the lags are left out.
     let differences: Vec<(f64, Vec<f64>)> = windows
         .iter()
         .filter_map(|window| {
@@ -78,20 +80,20 @@ pub(super) fn clock_offset(first: &Angle, second: &[Turn], slope: f64, guess: f6
     Some(Offset { lag, sigma: (squares * (BLOCKS - 1) as f64 / BLOCKS as f64).sqrt(), gain })
 }
 
-/// Geman and McClure's cost of a difference that counts up to a limit, more while it turns.
+/// Cost of a difference after Geman and McClure: bounded, with a limit that grows with the rotation.
 fn robust(difference: f64, limit: f64, turn: f64) -> f64 {
     let squared = difference * difference / (limit * limit + (SCALE_ERROR * turn).powi(2));
     squared / (1.0 + squared)
 }
 
-/// The mean cost of windows without any offset.
+/// Mean cost of windows without any offset.
 fn cost_at_zero(windows: &[Window], first: &Angle, slope: f64, limit: f64) -> f64 {
     let costs = windows.iter().filter_map(|w| Some(robust(w.difference(first, slope, 0.0)?, limit, w.turn)));
     let (sum, count) = costs.fold((0.0, 0.0), |(sum, count), cost| (sum + cost, count + 1.0));
     sum / f64::max(count, 1.0)
 }
 
-/// A turn over some scans.
+/// Rotation over some scans.
 struct Window {
     start: Time,
     end: Time,
@@ -105,7 +107,7 @@ impl Window {
     }
 }
 
-/// Turns joined to windows, one from each turn on.
+/// Rotations joined to windows, one from each rotation on.
 fn windows(turns: &[Turn]) -> Vec<Window> {
     let from = |first: usize| {
         let (start, mut end, mut turn) = *turns.get(first)?;
@@ -124,12 +126,12 @@ fn windows(turns: &[Turn]) -> Vec<Window> {
     (0..turns.len()).step_by(stride).filter_map(from).collect()
 }
 
-/// The middle of the values (the upper one of two); 0 if there are none.
+/// Median (the upper one of two middle values); 0 if there are none.
 pub(crate) fn median(mut values: Vec<f64>) -> f64 {
     portolan_numeric::median(&mut values).unwrap_or(0.0)
 }
 
-/// Index of the lowest cost, to a fraction.
+/// Position of the lowest cost, with a fraction.
 fn lowest(costs: &[f64]) -> f64 {
     let best = (0..costs.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b])).unwrap_or(0);
     let (Some(before), Some(after)) = (best.checked_sub(1).and_then(|i| costs.get(i)), costs.get(best + 1))
@@ -152,7 +154,7 @@ mod tests {
         let found = |every: usize, size: f64| {
             let mut second = turns(0.05, 1.0, 0.1);
             for (i, turn) in second.iter_mut().enumerate() {
-                // One scan in so many fits another wall.
+                // One scan in `every` fits another wall.
                 if i % every == 0 {
                     turn.2 += size * (i as f64 * 1.7).sin();
                 }

@@ -1,10 +1,11 @@
-//! Do scans, odometry and IMU turn alike? Finds sensors that turn the other way, in other units, or at
-//! other times.
+//! Checks that scans, odometry and IMU rotate alike: finds sensors with opposite sign, other units, or
+//! another clock.
 //!
-//! Each sensor gives the angle turned about the vertical between two times: odometry and IMU directly,
-//! a lidar by the shift of its range profile that fits the profile before best ([`super::scan_turns`]). The
-//! turns of two sensors over windows of a second are compared at every lag up to half a second: the slope of
-//! the best line tells direction and scale. Shorter windows tell the offset of their clocks ([`super::offset`]).
+//! Each sensor gives the angle turned about the vertical between two times: odometry and IMU directly, a
+//! lidar by the shift with which its range profile fits the profile before best ([`super::scan_turns`]). The
+//! rotations of two sensors over windows of a second are compared at every lag up to half a second: the
+//! slope of the regression line gives direction and scale. Shorter windows give the offset of their clocks
+//! ([`super::offset`]).
 
 use portolan_geometry::Time;
 use portolan_issue::Severity;
@@ -16,33 +17,35 @@ use crate::offset::{Offset, clock_offset};
 /// The angle turned between two times, counter-clockwise seen from above.
 pub(crate) type Turn = (Time, Time, f64);
 
-/// How the turns of two sensors compare.
+/// Comparison of the rotations of two sensors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Agreement {
-    /// −1 to 1.
+    /// Correlation, −1 to 1.
     pub correlation: f64,
-    /// Turn of the second sensor for each radian of the first.
+    /// Rotation of the second sensor for each radian of the first.
     pub slope: f64,
-    /// By how many seconds the second sensor is stamped too late.
+    /// Time by which the second sensor is stamped too late, seconds.
     pub lag: f64,
-    /// By how much that may be off, seconds (standard deviation).
+    /// Standard deviation of the lag, seconds.
     pub lag_sigma: f64,
-    /// By how large a fraction differences of turns are smaller with the lag than without.
+    /// Relative decrease of the differences between rotations with the lag.
     pub lag_gain: f64,
-    /// How much the first sensor turned in all, radians.
+    /// Sum of the rotation of the first sensor, radians.
     pub turned: f64,
 }
 
-/// Windows in which turns are compared, and from one to the next, seconds.
+/// Length of the windows in which rotations are compared, and step from one to the next, seconds.
 const COARSE: Windows = Windows { length: 1.0, step: 0.5 };
+/// Step of the lags that are compared, seconds.
 const LAG_STEP: f64 = 0.02;
+/// Number of lags to each side of zero.
 const LAG_STEPS: i32 = 25;
-/// So many windows must be common.
+/// Minimum number of common windows.
 const ENOUGH_WINDOWS: usize = 20;
-/// Windows in which a sensor has no data for so long are not used, seconds.
+/// Duration without data from which windows that contain it are not used, seconds.
 const MAX_HOLE: f64 = 0.6;
-/// Turns follow each other if one ends and the next begins within so many seconds: what tells a turn was measured
-/// at a time of its own in a sweep.
+/// Maximum time between the end of a rotation and the start of the next for them to be consecutive, seconds:
+/// the part of a sweep that constrains a rotation differs from sweep to sweep.
 pub(super) const JOINT: f64 = 0.06;
 
 #[derive(Clone, Copy)]
@@ -51,12 +54,12 @@ struct Windows {
     step: f64,
 }
 
-/// The turns of two sensors in windows of one length.
+/// Rotations of two sensors in windows of one length.
 struct Comparison<'a> {
     second: &'a Angle,
     origin: Time,
     length: f64,
-    /// Start after the origin, and turn of the first sensor.
+    /// Start after the origin, seconds, and rotation of the first sensor, radians.
     windows: Vec<(f64, f64)>,
 }
 
@@ -74,7 +77,7 @@ impl<'a> Comparison<'a> {
             }
             match first.turned(origin, t, length) {
                 Some(turn) => known.push((t, turn)),
-                // Straight to the end of the hole: it may be decades long, if a clock was set.
+                // Skips to the end of the gap: it may be decades long, if a clock was set.
                 None => {
                     let hole_end = first.hole_end(origin, t, length).unwrap_or(end);
                     index = f64::max(index, ((hole_end - begin) / step).floor() - 1.0);
@@ -117,9 +120,9 @@ pub(crate) fn compare(first: &[Turn], second: &[Turn]) -> Option<Agreement> {
     Some(Agreement { correlation, slope, lag, lag_sigma, lag_gain, turned })
 }
 
-/// Angle as a function of time, and where it has holes.
+/// Angle as a function of time, with its gaps.
 pub(super) struct Angle {
-    /// Time, angle, and whether the way from the point before is known.
+    /// Time, angle, and whether the rotation from the point before is known.
     points: Vec<(Time, f64, bool)>,
 }
 
@@ -148,20 +151,20 @@ impl Angle {
         self.points.last().map(|p| p.0)
     }
 
-    /// The turn in the window that begins `seconds` after `origin`, if it is known all along.
+    /// The rotation in the window that begins `seconds` after `origin`, if it is known throughout.
     fn turned(&self, origin: Time, seconds: f64, length: f64) -> Option<f64> {
         let at = |seconds: f64| origin + portolan_geometry::Duration::from_seconds(seconds);
         self.between(at(seconds), at(seconds + length))
     }
 
-    /// Where the first hole ends that a window reaches into, in seconds after `origin`.
+    /// End of the first gap that a window reaches into, in seconds after `origin`.
     fn hole_end(&self, origin: Time, seconds: f64, length: f64) -> Option<f64> {
         let at = |seconds: f64| self.index(origin + portolan_geometry::Duration::from_seconds(seconds));
         let in_window = self.points.get(at(seconds)..=at(seconds + length))?;
         in_window.iter().find(|p| !p.2).map(|p| p.0.seconds_since(origin))
     }
 
-    /// The turn from one time to another, if it is known all along.
+    /// The rotation from one time to another, if it is known throughout.
     pub(super) fn between(&self, begin: Time, end: Time) -> Option<f64> {
         let (i, j) = (self.index(begin), self.index(end));
         let known = self.points.get(i..=j)?.iter().all(|p| p.2);
@@ -184,20 +187,21 @@ impl Angle {
     }
 }
 
-/// Below half a turn in all there is nothing to judge.
+/// Minimum rotation for a comparison, radians: half a turn.
 pub(crate) const ENOUGH_TURNS: f64 = std::f64::consts::PI;
-/// Offsets of clocks beyond these are told and warned of, seconds: of sensors with a time for each point or
-/// sample, and of others.
+/// Offsets of clocks above which they are reported, and above which the report is a warning, seconds: first
+/// for sensors with a time for each point or sample, then for others.
 const OFFSETS: [[f64; 2]; 2] = [[0.02, 0.035], [0.05, 0.1]];
 
-/// Offsets must exceed them by so many standard deviations: for a clock at that limit, one in a thousand is told (Student's t
-/// with the 11 degrees of freedom of the jackknife, one side).
+/// Number of standard deviations by which offsets have to exceed them: for a clock exactly at the limit, one
+/// in a thousand is reported (Student's t with the 11 degrees of freedom of the jackknife, one side).
 const SURE: f64 = 4.0;
-/// Sensors must turn so much alike, and so much more with the offset than without, or it is chance.
+/// Minimum correlation of the rotations for an offset that is not by chance.
 const ALIKE: f64 = 0.7;
+/// Minimum gain from the offset, as a fraction of the differences, for an offset that is not by chance.
 const LEAST_GAIN: f64 = 0.04;
 
-/// Tells how far and in which direction `second` turns against `first`.
+/// Reports scale and direction of the rotation of `second` against `first`.
 pub(crate) fn tell_turns(first: (&str, &[Turn]), second: (&str, &[Turn]), findings: &mut Findings) {
     let Some(agreement) = compare(first.1, second.1) else { return };
     let Agreement { correlation, slope, turned, .. } = agreement;
@@ -237,8 +241,8 @@ pub(crate) fn tell_turns(first: (&str, &[Turn]), second: (&str, &[Turn]), findin
     }
 }
 
-/// Tells by how much the clock of `second` is off against that of `first`. `is_exact` says that both know the times
-/// of their turns well.
+/// Reports the offset of the clock of `second` against that of `first`. `is_exact` means that the times of
+/// the rotations of both are accurate.
 pub(crate) fn tell_clocks(
     first: (&str, &[Turn]),
     second: (&str, &[Turn]),
@@ -251,8 +255,8 @@ pub(crate) fn tell_clocks(
     }
 }
 
-/// By how many seconds the second sensor is stamped too late, and the standard deviation of that, if it is surely
-/// more than measurements may be.
+/// Time by which the second sensor is stamped too late, and its standard deviation, seconds, if it certainly
+/// exceeds measurement errors.
 pub(super) fn sure_offset(first: &[Turn], second: &[Turn], is_exact: bool) -> Option<(f64, f64)> {
     let agreement = compare(first, second)?;
     let Agreement { correlation, lag, lag_sigma, lag_gain, turned, .. } = agreement;
@@ -261,7 +265,7 @@ pub(super) fn sure_offset(first: &[Turn], second: &[Turn], is_exact: bool) -> Op
     (turned >= ENOUGH_TURNS && correlation >= ALIKE && is_sure).then_some((lag, lag_sigma))
 }
 
-/// Says that `second` is stamped too late by `lag` against `first`.
+/// Finding that `second` is stamped too late by `lag` against `first`.
 pub(super) fn offset_finding(first: &str, second: &str, lag: f64, warned: f64) -> Finding {
     let size = if lag.abs() < 0.1 { format!("{:.3}", lag.abs()) } else { format!("{:.2}", lag.abs()) };
     let direction = if lag > 0.0 { "later" } else { "earlier" };
@@ -278,7 +282,7 @@ pub(super) fn offset_finding(first: &str, second: &str, lag: f64, warned: f64) -
     )
 }
 
-/// What is said of an IMU that does not turn as a lidar does.
+/// Finding for an IMU that does not rotate like a lidar.
 pub(super) fn mounting_finding(imu: &str, mounting: &ImuMounting) -> Finding {
     finding(
         imu,
@@ -294,7 +298,7 @@ pub(super) fn mounting_finding(imu: &str, mounting: &ImuMounting) -> Finding {
     )
 }
 
-/// What is said of an IMU that is mounted a few degrees otherwise than the transforms say.
+/// Finding for an IMU whose mounting differs by a few degrees from the transforms.
 pub(super) fn misalignment_finding(imu: &str, misalignment: &ImuMisalignment) -> Finding {
     finding(
         imu,
@@ -324,7 +328,7 @@ pub(super) mod tests {
         Time::from_ros(1_700_000_000, 0) + portolan_geometry::Duration::from_seconds(seconds)
     }
 
-    /// Heading of a robot that wags to and fro.
+    /// Heading of a robot that oscillates.
     pub fn heading(t: f64) -> f64 {
         0.8 * (0.7 * t).sin() + 0.5 * (0.23 * t).sin()
     }

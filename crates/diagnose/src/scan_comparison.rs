@@ -1,5 +1,6 @@
-//! What scans of a planar scanner tell of the sensors before mapping begins: whether odometry tells the motion that they see, by how
-//! much the two are stamped apart, how long a scan takes, and how noisy its readings are.
+//! Compares scans of a planar scanner with the other sensors before mapping begins: whether odometry agrees
+//! with the motion from scans, the offset between their stamps, how long a scan takes, and how noisy its
+//! ranges are.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -25,50 +26,51 @@ use crate::scan_motion::{ScanMotions, TimedMotion};
 use crate::scan_turns::ScanTurns;
 use crate::stamp_jitter::stamp_jitter;
 
-/// So much of the recording is looked at.
+/// Part of the recording that is used: its first ten minutes.
 const LOOK: Duration = Duration::from_ticks(600 * 10_000_000);
 
-/// Scanners whose axis is this upright (cosine) are level.
+/// Minimum cosine between the axis of a level scanner and the vertical.
 const LEVEL: f64 = 0.9;
 
 /// An offset between the stamps of two sensors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorDelay {
-    /// By how many seconds scans are stamped too late against the other sensor.
+    /// Time by which scans are stamped too late against the other sensor, seconds.
     pub seconds: f64,
-    /// Standard deviation of that, seconds.
+    /// Standard deviation of it, seconds.
     pub sigma: f64,
 }
 
-/// What scans tell of the sensors.
+/// Results of comparing scans with the other sensors.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ScanComparison {
-    /// How the clock of odometry differs; none where nothing is surely wrong.
+    /// Offset of the clock of odometry; none unless it certainly is wrong.
     pub delay: Option<SensorDelay>,
-    /// How the motions of odometry differ, where they surely do.
+    /// Fault of the motions of odometry, if certain.
     pub fault: Option<OdometryFault>,
-    /// How odometry holds motions back, where it surely does.
+    /// How odometry holds motions back, if certain.
     pub hold: Option<OdometryHold>,
-    /// Turns of odometry without those repeats.
+    /// Rotations of odometry without the repeated poses.
     pub(crate) turns_without_repeats: Option<Vec<Turn>>,
-    /// How the clock of the IMU differs; none where nothing is surely wrong.
+    /// Offset of the clock of the IMU; none unless it certainly is wrong.
     pub imu_delay: Option<SensorDelay>,
-    /// How the IMU turns, where it surely does not as scans do.
+    /// How the IMU rotates, where it certainly disagrees with scans.
     pub imu_fault: Option<ImuMounting>,
-    /// Topics of scanners, and how long their scans take, where that is surely not what they say.
+    /// Topics of scanners with the measured duration of their scans, where it certainly differs from the
+    /// reported one.
     pub durations: Vec<(Arc<str>, ScanDuration)>,
-    /// Topics of scanners, and the standard deviation of their readings, metres.
+    /// Topics of scanners with the standard deviation of their ranges, metres.
     pub noises: Vec<(Arc<str>, f64)>,
-    /// Topics whose stamps jitter, and how: those of a scanner, and of odometry that has its stamps.
+    /// Topics whose stamps jitter, and their jitter: those of a scanner, and of odometry with the same
+    /// stamps.
     pub jitters: Vec<(Vec<Arc<str>>, StampJitter)>,
 }
 
-/// This share of the stamps of odometry is that of a scanner, where both come in one message.
+/// Minimum fraction of the stamps of odometry that are also those of a scanner, if both come in one message.
 const SHARED_STAMPS: f64 = 0.9;
 
-/// Compares the scans of each scanner of the plan with each other, and those of the first with odometry and IMU, in the first ten
-/// minutes.
-/// Nothing is told of what the plan has not.
+/// Compares the scans of each scanner of the plan with each other, and those of the first with odometry and
+/// IMU, in the first ten minutes. Sensors that are not in the plan have no results.
 ///
 /// # Errors
 /// The recording cannot be read.
@@ -79,7 +81,7 @@ pub fn compare_scans(
 ) -> Result<ScanComparison, RecordingError> {
     let Compared { mut wheels, gyroscope, mut scanners } = read_compared(recording, plan)?;
     let noises = scanners.iter().filter_map(Scanner::range_noise).collect();
-    // Stamps that are not believed tell nothing of motion but that odometry has none.
+    // With disturbed stamps, the only result about motion is whether odometry has none.
     let mut jitters = Vec::new();
     for scanner in scanners.iter_mut().filter(|scanner| !scanner.has_disturbed_stamps()) {
         let Some(jitter) = scanner.take_jitter_away() else { continue };
@@ -110,14 +112,14 @@ pub fn compare_scans(
     Ok(ScanComparison { durations, noises, jitters, ..all })
 }
 
-/// The sensors that are compared, and what they told.
+/// Sensors that are compared, with their measurements.
 struct Compared<'a> {
     wheels: Wheels<'a>,
     gyroscope: Option<ScanGyroscope<'a>>,
     scanners: Vec<Scanner<'a>>,
 }
 
-/// Reads what the sensors of a plan tell at the beginning of a recording.
+/// Reads the measurements of the sensors of a plan at the beginning of a recording.
 fn read_compared<'a>(
     recording: &dyn Recording,
     plan: &'a SensorPlan,
@@ -149,16 +151,16 @@ fn read_compared<'a>(
     Ok(Compared { wheels, gyroscope, scanners })
 }
 
-/// What a scanner tells.
+/// Measurements of a scanner.
 struct Scanner<'a> {
     planned: &'a PlannedRange,
     turns: ScanTurns,
     motions: ScanMotions,
     noise: RangeNoiseEstimator,
     stamps: Vec<Time>,
-    /// When scans with these stamps were taken, where stamps jitter.
+    /// Times of measurement of scans by their stamps, where stamps jitter.
     times: BTreeMap<Time, Time>,
-    /// Seconds from the first beam to the last, as the last scan says.
+    /// Time from the first beam to the last as reported by the last scan, seconds.
     said_duration: f64,
 }
 
@@ -180,7 +182,7 @@ impl<'a> Scanner<'a> {
         self.said_duration = if said.is_finite() && said > 0.0 { said } else { 0.0 };
     }
 
-    /// How stamps jitter, if they do; then what the scanner tells is of the times of its measurements from now on.
+    /// Returns the jitter of stamps, if there is any; results are then relative to the times of measurement.
     fn take_jitter_away(&mut self) -> Option<StampJitter> {
         let (jitter, times) = stamp_jitter(&self.stamps, &self.motions)?;
         self.times = self.stamps.iter().copied().zip(times.iter().copied()).collect();
@@ -191,8 +193,8 @@ impl<'a> Scanner<'a> {
         Some(jitter)
     }
 
-    /// Turns between the times of what scans saw, for scans that take so many seconds: in the mean that was measured in their
-    /// middle. They begin at their stamps, whichever beam comes first.
+    /// Rotations between the times at which scans were measured, for scans of this duration, seconds: on
+    /// average, a scan is measured in its middle. Scans begin at their stamps, whichever beam comes first.
     fn turns_in_the_middle(&self, seconds: f64) -> Vec<Turn> {
         let middle = Duration::from_seconds(0.5 * seconds.abs());
         self.turns.turns.iter().map(|(from, to, turn)| (*from + middle, *to + middle, *turn)).collect()
@@ -206,7 +208,7 @@ impl<'a> Scanner<'a> {
         Some((self.planned.source.topic.clone(), self.noise.sigma()?))
     }
 
-    /// How long a scan takes, where nobody has said it and it is surely not what scans say.
+    /// Duration of a scan, where the user has not given it and it certainly differs from the reported one.
     fn wrong_duration(&self) -> Option<(Arc<str>, ScanDuration)> {
         if self.planned.scan_duration.is_some() {
             return None;
@@ -218,7 +220,7 @@ impl<'a> Scanner<'a> {
     }
 }
 
-/// What odometry tells.
+/// Measurements of odometry.
 #[derive(Default)]
 struct Wheels<'a> {
     planned: Option<&'a PlannedOdometry>,
@@ -257,7 +259,7 @@ impl Wheels<'_> {
     fn add_odometry(&mut self, topic: &str, odometry: &Odometry) {
         self.checks.add(topic, odometry, &mut Findings::default());
         let stamp = odometry.header.stamp;
-        // What goes back in time would have to be put in its place among all.
+        // Poses that go back in time are left out: they would have to be sorted in.
         if self.poses.last().is_none_or(|(latest, _)| *latest < stamp)
             && let Some((pose, _)) = pose_of(&odometry.pose)
         {
@@ -265,13 +267,13 @@ impl Wheels<'_> {
         }
     }
 
-    /// Whether they come in the messages of a scanner.
+    /// Whether poses come in the messages of a scanner.
     fn have_stamps_of(&self, scanner: &Scanner) -> bool {
         let shared = self.poses.iter().filter(|(stamp, _)| scanner.times.contains_key(stamp)).count();
         shared as f64 > SHARED_STAMPS * self.poses.len() as f64
     }
 
-    /// Poses were at these times, for stamps, and so were the ends of turns.
+    /// Replaces the stamps of poses and rotations by these times of measurement.
     fn retime(&mut self, times: &BTreeMap<Time, Time>) {
         retime(&mut self.checks.turns, times);
         self.poses.iter_mut().for_each(|(time, _)| *time = times.get(time).copied().unwrap_or(*time));
@@ -288,7 +290,8 @@ impl Wheels<'_> {
         self.checks.turns = turns.collect();
     }
 
-    /// Its clock and its motions against those of scans that take so many seconds, beside what else is known.
+    /// Compares clock and motions with those of scans of this duration, seconds; adds the results to the
+    /// known ones.
     fn compare(
         &mut self,
         inventory: &Inventory,
@@ -316,7 +319,7 @@ impl Wheels<'_> {
         let lag = offset.map_or(0.0, |(lag, _)| lag);
         let mut poses = TransformBuffer::default();
         self.poses.iter().for_each(|(time, pose)| poses.push(*time, *pose));
-        // A scanner that leans tells other motions than those in the plane.
+        // A leaning scanner does not measure motion in the plane.
         let is_level = up.abs() > LEVEL;
         let find = || {
             OdometryFault::find(
@@ -335,7 +338,7 @@ impl Wheels<'_> {
     }
 }
 
-/// Turns between the times of measurements instead of their stamps.
+/// Replaces the stamps of rotations by times of measurement.
 fn retime(turns: &mut [Turn], times: &BTreeMap<Time, Time>) {
     let time = |stamp: &Time| times.get(stamp).copied().unwrap_or(*stamp);
     for (from, to, _) in turns {
@@ -343,7 +346,7 @@ fn retime(turns: &mut [Turn], times: &BTreeMap<Time, Time>) {
     }
 }
 
-/// What a scanner tells that is mounted upside down, as seen from above.
+/// Converts measurements of a scanner that is mounted upside down to the view from above.
 fn turn_over(turns: &mut [Turn], motions: &mut [TimedMotion]) {
     turns.iter_mut().for_each(|(_, _, turn)| *turn = -*turn);
     for (_, _, motion) in motions {

@@ -1,4 +1,5 @@
-//! Whether a gyroscope turns about the axis of a planar scanner as scans do, and by how much the two are stamped apart.
+//! Checks that a gyroscope measures the same rotation about the axis of a planar scanner as the scans, and
+//! estimates the offset between their time stamps.
 
 use portolan_geometry::{Rigid3, Vector3};
 use portolan_ingest::{Inventory, PlannedImu, PlannedSensor};
@@ -9,10 +10,11 @@ use crate::rotation::{ENOUGH_TURNS, Turn, compare, sure_offset};
 use crate::scan_comparison::SensorDelay;
 use crate::turns::{AGREES, ImuTurns};
 
-/// It turns as fast as scans if within these factors: what slips by between two profiles makes theirs smaller.
+/// Range of the ratio of gyroscope rotation to scan rotation in which both agree. Scan rotation comes out
+/// too small, because rotation between two profiles is partly missed.
 const AS_FAST: std::ops::RangeInclusive<f64> = 0.75..=1.33;
 
-/// What an IMU tells.
+/// Rotation measured by an IMU.
 pub(crate) struct ScanGyroscope<'a> {
     pub planned: &'a PlannedImu,
     turns: ImuTurns,
@@ -29,8 +31,8 @@ impl<'a> ScanGyroscope<'a> {
         }
     }
 
-    /// How it turns otherwise than scans, whose scanner and turns are given, where it surely does; and by how many seconds scans are
-    /// stamped too late against it, where they surely are.
+    /// Compares the rotation with that of a given scanner. Returns how the gyroscope differs, and by how
+    /// many seconds scans are stamped too late against it; each only where it is certain.
     pub fn compare(
         &self,
         inventory: &Inventory,
@@ -47,7 +49,7 @@ impl<'a> ScanGyroscope<'a> {
             return (Some(ImuMounting { imu, turned: 0.0, factor: agreement.slope }), None);
         }
         let delay = sure_offset(&measured, turns, false);
-        // Stamps are compared as they were recorded.
+        // The offset is reported between the stamps as recorded.
         let shift = (scanner.clock_shift - source.clock_shift).seconds();
         (None, delay.map(|(lag, sigma)| SensorDelay { seconds: lag + shift, sigma }))
     }

@@ -1,5 +1,5 @@
-//! How far a planar scanner went from scan to scan: point-to-line matching of each scan to the one before (Censi 2008, "An ICP variant
-//! using a point-to-line metric"), with correspondences by direction.
+//! Estimates the motion of a planar scanner from scan to scan by point-to-line matching to the scan before
+//! (Censi 2008, "An ICP variant using a point-to-line metric"), with correspondences by direction.
 
 use std::f64::consts::TAU;
 
@@ -7,33 +7,34 @@ use portolan_geometry::nalgebra::{Matrix3, Vector3};
 use portolan_geometry::{Rigid2, Time, Vector2};
 use portolan_recording::LaserScan;
 
-/// Scans farther apart than this are not compared, seconds.
+/// Interval between scans above which they are not compared, seconds.
 const MAX_INTERVAL: f64 = 0.5;
-/// So many scans suffice.
+/// Maximum number of scans that are used.
 const MAX_SCANS: usize = 1500;
-/// Directions are told apart by the degree.
+/// Number of directions that are distinguished: one for each degree.
 const CELLS: usize = 360;
-/// Most distances of a point from its line in one iteration after the other, metres.
+/// Maximum distances of a point from its line, one for each iteration, metres.
 const GATES: [f64; 12] = [1.0, 0.7, 0.5, 0.4, 0.3, 0.2, 0.2, 0.15, 0.1, 0.1, 0.1, 0.1];
-/// The nearest point is looked for in so many directions to each side.
+/// Number of directions to each side in which the nearest point is searched.
 const REACH: usize = 6;
-/// Neighbours farther apart than this are of different surfaces, metres.
+/// Distance between neighbours above which they belong to different surfaces, metres.
 const EDGE: f64 = 0.4;
-/// A scan must find lines for so many of its points, at the end.
+/// Minimum fraction of the points of a scan with a line after the last iteration.
 const MATCHED: f64 = 0.6;
-/// The way is determined where the weaker of two directions has this share of the points across it.
+/// Minimum information in the weaker of two directions, as a fraction of the number of points, for the
+/// motion to be determined.
 const DETERMINED: f64 = 0.05;
 
 /// A motion between two times, `first_from_second` in the frame of the scanner.
 pub(crate) type TimedMotion = (Time, Time, Rigid2);
 
-/// Scans of a scanner, in order of arrival, and their motions as far as those are determined.
+/// Scans of a scanner, in order of arrival, with their motions where these are determined.
 #[derive(Debug, Default)]
 pub(crate) struct ScanMotions {
     pub scans: Vec<PlacedScan>,
 }
 
-/// A scan, and where it was taken.
+/// A scan and its motion from the scan before.
 #[derive(Debug)]
 pub(crate) struct PlacedScan {
     pub time: Time,
@@ -47,14 +48,14 @@ pub(crate) struct PlacedScan {
 pub(crate) struct Seen {
     /// Metres, in the frame of the scanner.
     pub place: Vector2,
-    /// The share of the beams of the scan that come before this one, 0 to 1.
+    /// Fraction of the beams of the scan before this one, 0 to 1.
     pub share: f64,
 }
 
 /// The nearest point in each direction.
 pub(crate) type Places = Vec<Option<Seen>>;
 
-/// A place on a line of a scan, the normal of the line, and the point of the scan next to it.
+/// A point on a line of a scan, the normal of the line, and the point of the scan at which the line is.
 pub(crate) struct OnLine {
     pub place: Vector2,
     pub normal: Vector2,
@@ -82,7 +83,7 @@ impl ScanMotions {
     }
 }
 
-/// The points of a scan, of each direction the nearest.
+/// The points of a scan: the nearest one in each direction.
 pub(crate) fn places(scan: &LaserScan) -> Places {
     let limits = scan.range_min.max(0.05)..=scan.range_max;
     let beams = scan.ranges.len() as f64;
@@ -95,7 +96,7 @@ pub(crate) fn places(scan: &LaserScan) -> Places {
     by_direction(seen)
 }
 
-/// Of each direction the nearest.
+/// The nearest point in each direction.
 pub(crate) fn by_direction(seen: impl Iterator<Item = Seen>) -> Places {
     let mut places: Places = vec![None; CELLS];
     for seen in seen {
@@ -112,7 +113,8 @@ fn cell(place: &Vector2) -> usize {
     ((place.y.atan2(place.x) / TAU + 0.5) * CELLS as f64) as usize % CELLS
 }
 
-/// `before_from_now`, near a `start`; none where too little fits or the way along a corridor is not determined.
+/// Matches two scans from a `start`; returns `before_from_now`, or none where too few points fit or the
+/// motion along a corridor is not constrained.
 pub(crate) fn matched(before: &Places, now: &Places, start: Rigid2) -> Option<Rigid2> {
     let mut motion = start;
     let points = now.iter().flatten().count() as f64;
@@ -142,7 +144,7 @@ pub(crate) fn matched(before: &Places, now: &Places, start: Rigid2) -> Option<Ri
     (found.0 > MATCHED * points && found.1 > DETERMINED * found.0).then_some(motion)
 }
 
-/// The line of a scan nearest to a place.
+/// The line of a scan nearest to a position.
 pub(crate) fn line_near(before: &Places, at: &Vector2) -> Option<OnLine> {
     let known = |c: usize| before.get(c % CELLS).copied().flatten();
     let first = cell(at) + CELLS - REACH;

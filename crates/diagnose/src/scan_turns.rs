@@ -1,4 +1,4 @@
-//! The angle that a lidar turned from scan to scan, from the shift of its range profile.
+//! Estimates the rotation of a lidar from scan to scan from the shift of its range profile.
 
 use portolan_geometry::Time;
 use portolan_geometry::nalgebra::{Matrix3, Vector3};
@@ -7,27 +7,27 @@ use portolan_recording::LaserScan;
 
 use crate::rotation::Turn;
 
-/// Most beams of a profile; scanners with more are thinned.
+/// Maximum number of beams of a profile; scans with more are thinned.
 const MAX_BEAMS: usize = 360;
-/// Largest turn between two scans, radians.
+/// Largest rotation between two scans, radians.
 const MAX_TURN: f32 = 0.6;
-/// Differences of ranges beyond this count alike, metres.
+/// Difference of ranges above which all count alike, metres.
 const MAX_DIFFERENCE: f32 = 0.3;
 /// Fraction of the beams with readings, of the scan that has fewer of them, that must be seen by both scans.
 const MIN_OVERLAP: f32 = 0.3;
-/// Fewer beams tell nothing.
+/// Minimum number of beams for a comparison.
 const FEWEST: f32 = 10.0;
-/// So many scans are compared.
+/// Maximum number of scans that are compared.
 const MAX_SCANS: usize = 20_000;
-/// Scans farther apart than this are not compared, seconds.
+/// Interval between scans above which they are not compared, seconds.
 const MAX_INTERVAL: f64 = 1.0;
 
-/// Cells of the profile of a spinning lidar, a degree each.
+/// Number of cells of the profile of a spinning lidar: one for each degree.
 const CELLS: usize = 360;
-/// Points of a cloud this steep at most are in its profile (slope).
+/// Maximum slope of the points of a cloud that enter its profile; dimensionless.
 const STEEPEST: f32 = 0.12;
 
-/// Turns of a scanner.
+/// Rotations of a scanner.
 #[derive(Debug, Default)]
 pub(crate) struct ScanTurns {
     last: Option<(Time, Vec<f32>)>,
@@ -53,7 +53,7 @@ impl ScanTurns {
         {
             let window = ((MAX_TURN / increment) as usize).min(profile.len() / 3);
             if let Some(shift) = best_shift(&last, profile, window, &mut self.costs) {
-                // Walls move against the turn; an increment below zero counts beams clockwise.
+                // Walls move opposite to the rotation; a negative increment counts beams clockwise.
                 let turn = -f64::from(shift * increment) * f64::from(scan.angle_increment.signum());
                 self.turns.push((last_time, time, turn));
             }
@@ -61,7 +61,7 @@ impl ScanTurns {
     }
 }
 
-/// By how many beams `now` is shifted against `before`, to a fraction of a beam.
+/// Shift of `now` against `before` in beams, with a fraction.
 fn best_shift(before: &[f32], now: &[f32], window: usize, costs: &mut Vec<f32>) -> Option<f32> {
     costs.clear();
     let enough = enough(before, now);
@@ -73,7 +73,7 @@ fn best_shift(before: &[f32], now: &[f32], window: usize, costs: &mut Vec<f32>) 
     Some(lowest(costs)? - window as f32)
 }
 
-/// Turns of a spinning lidar about its own axis, from its beams near the horizontal.
+/// Rotations of a spinning lidar about its own axis, from its beams near the horizontal.
 #[derive(Debug, Default)]
 pub(crate) struct CloudTurns {
     last: Option<(Time, Profile)>,
@@ -104,20 +104,20 @@ impl CloudTurns {
     }
 }
 
-/// What a sweep saw around it, degree by degree.
+/// Range profile of a sweep, degree by degree.
 #[derive(Debug)]
 struct Profile {
     /// Horizontal range of the most level point in each direction; NaN where there is none.
     ranges: Vec<f32>,
-    /// When that was measured, seconds before the time of the cloud (not positive).
+    /// Times at which these were measured, seconds before the time of the cloud (not positive).
     offsets: Vec<f32>,
 }
 
-/// How far the sensor turned between two sweeps.
+/// Rotation of the sensor between two sweeps.
 struct FoundTurn {
     turn: f32,
-    /// When what tells it was measured in the sweep before and in this one, if that is known: walls on one side
-    /// are seen at one time in each revolution of the head.
+    /// Mean times at which the constraining points were measured in the sweep before and in this one, if
+    /// known: walls on one side are seen at one time in each revolution of the head.
     offsets: Option<[f32; 2]>,
 }
 
@@ -137,14 +137,14 @@ fn profile(cloud: &TimedPoints) -> Profile {
     Profile { ranges, offsets }
 }
 
-/// By which angle the sensor turned counter-clockwise, radians.
+/// Rotation of the sensor, counter-clockwise, radians.
 fn best_turn(before: &Profile, now: &Profile, costs: &mut Vec<f32>) -> Option<FoundTurn> {
     let cell = std::f32::consts::TAU / CELLS as f32;
     let window = (MAX_TURN / cell) as usize;
     let enough = enough(&before.ranges, &now.ranges);
     costs.clear();
     for shift in 0..=2 * window {
-        // What was seen ahead of the turn is seen straight on after it.
+        // Points seen at the rotation angle before are seen straight ahead after the rotation.
         let (a, b) = before.ranges.split_at((CELLS + shift - window) % CELLS);
         costs.push(cost(b.iter().chain(a), now.ranges.iter(), enough));
     }
@@ -152,16 +152,18 @@ fn best_turn(before: &Profile, now: &Profile, costs: &mut Vec<f32>) -> Option<Fo
     Some(turn_and_shift(before, now, turn).unwrap_or(FoundTurn { turn, offsets: None }))
 }
 
-/// Passes that take the shift of the sensor out of its turn, and the most that a range may differ in each, metres.
+/// Maximum difference of a range in each iteration, metres. The iterations separate the translation of the
+/// sensor from its rotation.
 const PASSES: [f32; 4] = [0.5, 0.3, 0.15, 0.15];
-/// Neighbouring cells farther apart in range than this are of different surfaces, metres.
+/// Difference of the ranges of neighbouring cells above which they belong to different surfaces, metres.
 const EDGE: f32 = 0.4;
 
-/// The turn once more, together with the shift of the sensor in its plane: near walls a shift looks like a turn.
+/// Estimates the rotation again, together with the translation of the sensor in its plane: near walls, a
+/// translation looks like a rotation.
 ///
-/// A surface whose range grows by `slope` times itself for each radian comes nearer by `x (cos + slope sin) +
-/// y (sin - slope cos)` if the sensor shifts by (x, y), and goes away by `slope` times its range for each radian of
-/// turn: least squares in the three.
+/// A surface whose range grows by `slope` times itself for each radian comes nearer by
+/// `x (cos + slope sin) + y (sin - slope cos)` if the sensor shifts by (x, y), and moves away by `slope` times
+/// its range for each radian of rotation. The three unknowns are found by least squares.
 fn turn_and_shift(before: &Profile, now: &Profile, mut turn: f32) -> Option<FoundTurn> {
     let cell = std::f32::consts::TAU / CELLS as f32;
     let mut shift = [0.0_f32; 2];
@@ -169,7 +171,8 @@ fn turn_and_shift(before: &Profile, now: &Profile, mut turn: f32) -> Option<Foun
     for most in PASSES {
         let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
         let mut count = 0.0_f32;
-        // Sum of how much each direction tells, and of that times when it was measured.
+        // Sum of the weights of directions (their information about the rotation), and of weight times
+        // measurement time.
         let mut told = [0.0_f32; 3];
         for (i, range) in now.ranges.iter().enumerate() {
             let at = (i as f32 + turn / cell).rem_euclid(CELLS as f32);
@@ -180,7 +183,7 @@ fn turn_and_shift(before: &Profile, now: &Profile, mut turn: f32) -> Option<Foun
             let row = [slope * a, -(c + slope * s), -(s - slope * c)];
             let expected = a + (b - a) * share + row[1] * shift[0] + row[2] * shift[1];
             let difference = range - expected;
-            // Not a number where something was not seen.
+            // NaN where a range is missing.
             if !(difference.abs() < most && (b - a).abs() < EDGE) {
                 continue;
             }
@@ -195,7 +198,7 @@ fn turn_and_shift(before: &Profile, now: &Profile, mut turn: f32) -> Option<Foun
         if count < enough(&before.ranges, &now.ranges) {
             return None;
         }
-        // Along a bare corridor the shift is not determined; then it is taken as none.
+        // Along a bare corridor the translation is not constrained; it is then taken as zero.
         normal[(1, 1)] += f64::from(1e-3 * count);
         normal[(2, 2)] += f64::from(1e-3 * count);
         let change = normal.cholesky()?.solve(&right);
@@ -206,7 +209,7 @@ fn turn_and_shift(before: &Profile, now: &Profile, mut turn: f32) -> Option<Foun
     (turn.abs() < MAX_TURN).then_some(FoundTurn { turn, offsets })
 }
 
-/// So many beams must be seen by both scans.
+/// Minimum number of beams that both scans see.
 fn enough(before: &[f32], now: &[f32]) -> f32 {
     let seen = |profile: &[f32]| profile.iter().filter(|range| range.is_finite()).count() as f32;
     (MIN_OVERLAP * seen(before).min(seen(now))).max(FEWEST)
@@ -225,7 +228,8 @@ fn cost<'a>(before: impl Iterator<Item = &'a f32>, now: impl Iterator<Item = &'a
     if count >= enough { sum / count } else { f32::INFINITY }
 }
 
-/// Where the costs are lowest, to a fraction; none at the edge of what was compared, or if nothing fits.
+/// Position of the lowest cost, with a fraction; none at the edge of the compared shifts, or if nothing
+/// fits.
 fn lowest(costs: &[f32]) -> Option<f32> {
     let best = (0..costs.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b]))?;
     if best == 0 || best + 1 >= costs.len() || !costs[best].is_finite() || costs[best] > 0.5 * MAX_DIFFERENCE
@@ -250,7 +254,8 @@ mod tests {
     use portolan_recording::Header;
     use portolan_sensor::TimedPoint;
 
-    /// How the turns of a robot in a room compare with those of its scans, of which so many beams of half a degree see anything.
+    /// Compares the rotations of a robot in a room with those from its scans, where this number of beams of
+    /// half a degree see anything.
     fn agreement(beams: std::ops::Range<i32>) -> crate::rotation::Agreement {
         // A room of 8 m by 5 m, seen from (1, 0.5).
         let range = |angle: f64| {

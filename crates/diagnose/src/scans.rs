@@ -1,4 +1,4 @@
-//! Range data of one topic (checks 4 to 8 and 12 of `spec/tools.md` §2.6, and units).
+//! Checks the range data of one topic (checks 4 to 8 and 12 of `spec/tools.md` §2.6, and units).
 
 use portolan_geometry::Time;
 use portolan_ingest::{ScanFaults, TimedPoints};
@@ -25,7 +25,7 @@ const LONGEST_OVERLAP: Kind = Kind {
     effect: OVERLAP.effect,
     to_do: OVERLAP.to_do,
 };
-/// Times farther apart than this are jumps, which are told elsewhere, seconds.
+/// Difference of times from which it is a jump, which another check reports, seconds.
 const JUMP: f64 = 10.0;
 const REPEATED: Kind = Kind {
     name: "repeated data",
@@ -39,7 +39,7 @@ const REPEATED_SELDOM: Kind = Kind {
     effect: REPEATED.effect,
     to_do: REPEATED.to_do,
 };
-/// More than this fraction of repeated messages is an error.
+/// Fraction of repeated messages above which they are an error.
 const MANY_REPEATED: f64 = 0.05;
 const NO_RETURNS: Kind = Kind {
     name: "no returns",
@@ -118,15 +118,15 @@ fn sum_of(points: &TimedPoints) -> Sum {
     (points.points.len(), sum)
 }
 
-/// So many ranges are kept to judge units.
+/// Maximum number of ranges that are kept to judge units.
 const MAX_RANGES: usize = 20_000;
 
 impl RangeChecks {
-    /// Shape and values of a laser scan.
+    /// Checks shape and values of a laser scan.
     pub fn add_scan(&mut self, topic: &str, scan: &LaserScan, faults: ScanFaults, findings: &mut Findings) {
         let beams = scan.ranges.len();
         if beams == 0 {
-            // Told as a scan without a single distance; its angles say nothing.
+            // It is reported as a scan without a single distance; its angles have no meaning.
             return;
         }
         let view = scan.angle_increment.abs() * beams.saturating_sub(1) as f32;
@@ -165,7 +165,7 @@ impl RangeChecks {
         }
     }
 
-    /// Times and points of any range message.
+    /// Checks times and points of any range message.
     pub fn add_points(&mut self, topic: &str, frame: &str, points: &TimedPoints, findings: &mut Findings) {
         let (Some(first), end) = (points.points.first(), points.time) else {
             return findings.add(&NO_RETURNS, topic, || "messages without a single distance".to_owned());
@@ -173,7 +173,7 @@ impl RangeChecks {
         let sum = sum_of(points);
         let before = self.last_sum.replace((end, sum));
         if before == Some((end, sum)) {
-            // The message before once more: its stamp, which comes twice, is a finding. Nothing is missing.
+            // The message before is sent once more: its repeated stamp is a finding. No data is missing.
             return;
         }
         let start = end + portolan_geometry::Duration::from_seconds(f64::from(first.time));
@@ -203,7 +203,7 @@ impl RangeChecks {
         }
     }
 
-    /// Findings about the whole topic.
+    /// Adds findings about the whole topic.
     pub fn finish(mut self, topic: &str, findings: &mut Findings) {
         if self.longest_overlap > 0.0 {
             let longest = self.longest_overlap;
@@ -239,7 +239,7 @@ mod tests {
     use portolan_geometry::Point3f;
     use portolan_sensor::TimedPoint;
 
-    /// What is found in scans of these times and ranges, metres.
+    /// Findings for scans of these times and ranges, metres.
     fn severities(scans: &[(f64, f32)]) -> Vec<Severity> {
         let (mut checks, mut findings) = (RangeChecks::default(), Findings::default());
         for (seconds, range) in scans {

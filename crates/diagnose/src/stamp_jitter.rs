@@ -1,7 +1,7 @@
-//! Whether the stamps of a planar scanner jitter, judged by how it moves from scan to scan.
+//! Detects jitter of the stamps of a planar scanner from its motion between scans.
 //!
-//! Intervals that differ are the doing of stamps, or of the scanner: a driver may take scans as irregularly as it stamps them. A robot
-//! has inertia, so at the right times it moves more evenly than at wrong ones.
+//! Uneven intervals come from the stamps or from the scanner: a driver may take scans as irregularly as it
+//! stamps them. A robot has inertia, so that its velocity is smoother at the right times than at wrong ones.
 
 use portolan_geometry::nalgebra::Vector3;
 use portolan_geometry::{Rigid2, Time};
@@ -10,18 +10,18 @@ use portolan_recording::StampPattern;
 
 use crate::scan_motion::{PlacedScan, ScanMotions};
 
-/// Jitter below this does no harm, seconds: half a degree in a fast turn.
+/// Jitter below which it is harmless, seconds: half a degree in a fast turn.
 const LEAST: f64 = 0.005;
-/// A radian counts as so many metres.
+/// Distance that counts as much as one radian, metres.
 const ARM: f64 = 1.0;
-/// What moves slower tells nothing, m/s.
+/// Speed below which motion is not used, m/s.
 const LEAST_SPEED: f64 = 0.1;
-/// By so many standard deviations more changes of the velocity must be smaller than would be by chance.
+/// Number of standard deviations above chance by which changes of velocity have to be smaller more often.
 const SURE: f64 = 4.0;
-/// So many changes are needed.
+/// Minimum number of changes of velocity.
 const ENOUGH: f64 = 50.0;
 
-/// How stamps jitter, and the times of the measurements, where those are surely the better ones.
+/// The jitter of stamps and the corrected times, where those are certainly better.
 pub(crate) fn stamp_jitter(stamps: &[Time], motions: &ScanMotions) -> Option<(StampJitter, Vec<Time>)> {
     let StampPattern { period, noise, .. } = StampPattern::of(stamps)?;
     if noise.of_stamps < LEAST {
@@ -32,7 +32,8 @@ pub(crate) fn stamp_jitter(stamps: &[Time], motions: &ScanMotions) -> Option<(St
     is_more_even(&motions.scans, &times).then_some((jitter, times))
 }
 
-/// Whether the scanner surely moves more evenly if scans were taken at these times, in the order of the scans.
+/// Whether the motion of the scanner is certainly smoother if scans were taken at these times, in the order
+/// of the scans.
 fn is_more_even(scans: &[PlacedScan], times: &[Time]) -> bool {
     let (mut smaller, mut larger) = (0.0, 0.0);
     for (scans, times) in scans.windows(3).zip(times.windows(3)) {
@@ -50,7 +51,8 @@ fn is_more_even(scans: &[PlacedScan], times: &[Time]) -> bool {
         smaller += f64::from(u8::from(steady < as_stamped));
         larger += f64::from(u8::from(steady > as_stamped));
     }
-    // Sign test: by chance half of them are smaller. Neighbouring changes share a motion, so that half as many are independent.
+    // Sign test: by chance half of the changes are smaller. Neighbouring changes share a motion, so that
+    // half as many are independent.
     let count: f64 = smaller + larger;
     count >= ENOUGH && smaller - larger > SURE * (2.0 * count).sqrt()
 }

@@ -1,4 +1,5 @@
-//! Stamps and times of recording of one topic (checks 9, 10, 11, 14 and 15 of `spec/tools.md` §2.6).
+//! Checks the time stamps and recording times of one topic (checks 9, 10, 11, 14 and 15 of `spec/tools.md`
+//! §2.6).
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -82,15 +83,16 @@ const LATE_START: Kind = Kind {
     effect: "until then the map is made without this sensor",
     to_do: "start recording when all sensors run",
 };
-/// An IMU that is silent for longer than this has a gap, seconds.
+/// Interval between IMU samples above which there is a gap, seconds.
 const LONG_INTERVAL: f64 = 0.05;
-/// Sensors that miss the beginning or the end by more than this, and by so many of their intervals, seconds.
+/// Minimum time at the beginning or the end without a sensor that is reported, seconds.
 const SILENCE: f64 = 2.0;
+/// Minimum number of usual intervals without a sensor that is reported.
 const SILENT_INTERVALS: f64 = 20.0;
-/// Intervals of an IMU that are this many times longer than usual are gaps.
+/// Ratio of an interval of an IMU to the usual one above which the interval is a gap.
 const GAP_INTERVALS: f64 = 5.0;
 
-/// What kind of sensor a stream is, as far as gaps are concerned.
+/// Kind of sensor of a stream, as needed to judge gaps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum StreamKind {
     Range,
@@ -118,9 +120,9 @@ pub(crate) struct Stamps {
     first_log_time: Time,
     last_log_time: Time,
     last: Option<Time>,
-    /// The latest stamp, later than the last one after a jump backwards.
+    /// The latest stamp; it is later than the last one after a jump backwards.
     latest: Time,
-    /// Intervals longer than a twentieth of a second, and how long they are in all.
+    /// Number of intervals longer than a twentieth of a second, and their sum, seconds.
     long_intervals: (u64, f64),
     intervals: Histogram,
     lags: Histogram,
@@ -174,7 +176,7 @@ impl Stamps {
             return;
         }
         if interval.min(log_interval) > LONGEST_PAUSE {
-            // No gap: the clock that all stamps are from was set, which is a finding of the recording.
+            // This is no gap: the clock of all stamps was set, which is a finding of the whole recording.
             return;
         }
         if interval < 0.0 {
@@ -188,7 +190,7 @@ impl Stamps {
                 format!("two messages of frame_id \"{frame}\" have the stamp {stamp}")
             });
         } else {
-            // After a stamp that was too early the time since is not all without a measurement.
+            // After a stamp that was too early, the gap is counted only from the latest stamp.
             let interval = if stamp > latest { stamp.seconds_since(latest) } else { interval };
             self.intervals.add(interval);
             if interval > LONG_INTERVAL {
@@ -198,17 +200,17 @@ impl Stamps {
         }
     }
 
-    /// Median of the time of recording minus stamp.
+    /// Median of recording time minus stamp.
     pub fn lag(&self) -> Option<f64> {
         self.lags.median()
     }
 
-    /// First and last time of recording, of sensors that measure all the time.
+    /// First and last recording time, of sensors that measure continuously.
     pub fn span(&self) -> Option<(Time, Time)> {
         (self.kind != StreamKind::Other).then_some((self.first_log_time, self.last_log_time))
     }
 
-    /// Whether the sensor misses the beginning or the end of the recording.
+    /// Checks whether the sensor is missing at the beginning or the end of the recording.
     pub fn check_span(&self, topic: &str, (start, end): (Time, Time), findings: &mut Findings) {
         if self.kind == StreamKind::Other {
             return;
@@ -228,7 +230,7 @@ impl Stamps {
         }
     }
 
-    /// Findings about the whole topic. `common_lag` is what all topics of the recording lag by.
+    /// Adds findings about the whole topic. `common_lag` is the lag that all topics of the recording share.
     pub fn finish(&self, topic: &str, common_lag: f64, findings: &mut Findings) {
         if let Some(lag) = self.lag() {
             let differing = lag - common_lag;
@@ -252,7 +254,7 @@ impl Stamps {
                 findings.add(&LARGE_RANGE_GAP, topic, || text("point data", "[0.0005, 0.05]"));
             }
             StreamKind::Range if largest > 0.1 => {
-                // A slow sensor without any hole is what it is.
+                // A slow sensor without gaps gets no warning.
                 let kind = if largest < 1.5 * median { &SLOW } else { &RANGE_GAP };
                 findings.add(kind, topic, || text("point data", "[0.0005, 0.05]"));
             }
@@ -273,7 +275,7 @@ impl Stamps {
         }
     }
 
-    /// The distribution of intervals, for people.
+    /// The distribution of intervals as text for the user.
     pub fn histogram_text(&self, topic: &str) -> Option<String> {
         (!self.intervals.is_empty()).then(|| {
             format!(
@@ -285,7 +287,7 @@ impl Stamps {
     }
 }
 
-/// How much later than measured something was recorded; nothing while it was being measured.
+/// Delay from measuring to recording, seconds; 0 if it was recorded during the measurement.
 fn lag(stamp: Time, end: Time, log_time: Time) -> f64 {
     log_time.seconds_since(log_time.clamp(stamp.min(end), end.max(stamp)))
 }
@@ -297,7 +299,7 @@ const SEVERAL_TOPICS: Kind = Kind {
     to_do: "name the topic to use with --scan or --points",
 };
 
-/// Frames that come on more than one topic of a kind.
+/// Finds frames that come on more than one topic of a kind.
 pub(crate) fn check_frames<'a>(topics: impl Iterator<Item = (&'a str, &'a Stamps)>, findings: &mut Findings) {
     let mut by_frame: BTreeMap<(&str, u8), Vec<&str>> = BTreeMap::new();
     for (topic, stamps) in topics {

@@ -279,7 +279,7 @@ fn an_imu_without_gravity_is_told_as_that_alone() {
     let mut messages = robot(scans(100, |_, _| {}));
     for i in 0..500 {
         let t = 0.01 * f64::from(i);
-        // Mostly calm, with steps of 6 m/s² that cancel out but for a little sideways.
+        // Mostly calm, with steps of 6 m/s² that cancel out except for a small sideways part.
         let step = if i % 10 == 0 { 6.0 * f64::from(i / 10 % 2 * 2 - 1) } else { 0.1 };
         messages.push(named("/imu", t, imu(t, [0.0, 0.3, step])));
     }

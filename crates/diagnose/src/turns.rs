@@ -1,4 +1,4 @@
-//! Turns of all sensors of a recording, compared with each other.
+//! Compares the rotations of all sensors of a recording with each other.
 
 use portolan_geometry::{Time, Vector3};
 use portolan_issue::Severity;
@@ -16,16 +16,17 @@ const AXES: Kind = Kind {
     to_do: "the axes of the gyroscope are swapped or of the wrong sign against its accelerometer: mend the driver, or leave the IMU out with --no-imu",
 };
 
-/// A correlation below this means that turns do not agree, one above that they do.
+/// Correlation below which rotations do not agree.
 const DISAGREES: f64 = 0.6;
+/// Correlation above which rotations agree.
 pub(super) const AGREES: f64 = 0.85;
 
-/// So many turns of an IMU are kept.
+/// Maximum number of rotations of an IMU that are kept.
 const MAX_TURNS: usize = 500_000;
-/// Turns of an IMU are summed up over this time, seconds.
+/// Time over which rotations of an IMU are summed, seconds.
 const TURN_INTERVAL: f64 = 0.02;
 
-/// Turns of an IMU about its own axes.
+/// Rotations of an IMU about its own axes.
 #[derive(Debug, Default)]
 pub(super) struct ImuTurns {
     last: Option<Time>,
@@ -54,13 +55,13 @@ impl ImuTurns {
 }
 
 impl ImuTurns {
-    /// Turns about one direction in the frame of the IMU.
+    /// Rotations about one direction in the frame of the IMU.
     pub fn about(&self, axis: &Vector3) -> Vec<Turn> {
         self.turns.iter().map(|(from, to, turn)| (*from, *to, turn.dot(axis))).collect()
     }
 }
 
-/// What turns, and how it is known.
+/// Source of rotations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Source {
     Odometry,
@@ -73,22 +74,22 @@ pub(super) enum Source {
 }
 
 impl Source {
-    /// Whether the times of turns are known to a few milliseconds.
+    /// Whether the times of rotations are accurate to a few milliseconds.
     fn is_exact(self) -> bool {
         matches!(self, Self::Imu | Self::Odometry | Self::Cloud { has_times: true })
     }
 }
 
-/// The turns of one sensor about the vertical.
+/// Rotations of one sensor about the vertical.
 pub(super) struct Turning<'a> {
     pub source: Source,
     pub topic: &'a str,
     pub turns: Vec<Turn>,
 }
 
-/// Compares all with odometry, or with the IMU if there is no odometry; `imus` also have their axes. Clocks are
-/// compared with that of the first IMU, if there is one: wheels slip, and their counts are coarse. Those whose
-/// `offsets` are known already are not compared.
+/// Compares all sensors with odometry, or with the IMU if there is no odometry; `imus` also have their axes.
+/// Clocks are compared with that of the first IMU, if there is one: wheels slip, and their counts are
+/// coarse. Sensors whose `offsets` are already known are not compared.
 pub(super) fn compare_all(
     mut all: Vec<Turning>,
     imus: &[(&str, &ImuTurns)],
@@ -107,7 +108,7 @@ pub(super) fn compare_all(
         });
         if other_axis.is_none() {
             rotation::tell_turns((first.topic, &first.turns), (other.topic, &other.turns), findings);
-            // The IMU itself is compared with what there is besides.
+            // The IMU itself is compared with the first sensor.
             let reference = if std::ptr::eq(clock, other) { first } else { clock };
             let is_exact = reference.source.is_exact() && other.source.is_exact();
             let (a, b) = ((reference.topic, &*reference.turns), (other.topic, &*other.turns));
@@ -118,7 +119,8 @@ pub(super) fn compare_all(
     }
 }
 
-/// Tells about which axis an IMU shows the turns of another sensor, if that is not the one that gravity shows.
+/// Reports the axis about which an IMU measures the rotations of another sensor, if it is not the vertical
+/// from gravity.
 fn tell_axis(
     topic: &str,
     imu: &ImuTurns,
@@ -161,7 +163,7 @@ mod tests {
         let mut imu = ImuTurns::default();
         for i in 0..5000 {
             let t = 0.02 * f64::from(i);
-            // Turns to the left are shown as turns to the right about y.
+            // Left turns are measured as right turns about y.
             imu.turns.push((at(t), at(t + 0.02), Vector3::new(0.0, heading(t) - heading(t + 0.02), 1e-4)));
         }
         let cloud = Turning {

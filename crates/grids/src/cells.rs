@@ -1,4 +1,4 @@
-//! The cells of a 2D grid: what probability grids and truncated signed distance fields share.
+//! The cells of a 2D grid: the common base of probability grids and truncated signed distance fields.
 
 use portolan_geometry::Vector2f;
 

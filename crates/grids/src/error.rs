@@ -1,8 +1,8 @@
-//! What can go wrong with grids.
+//! Errors of grids and inserters.
 
 use thiserror::Error;
 
-/// Why a grid cannot be made or grown.
+/// Error of making or growing a grid.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum GridError {
     /// Limits that describe no grid.
@@ -22,7 +22,7 @@ pub enum GridError {
         /// Cells along −x.
         num_y_cells: i64,
     },
-    /// The edge of a cell in 3D that is none.
+    /// An invalid edge of a cell in 3D.
     #[error("cells with an edge of {0} m are not possible: it must be positive and finite")]
     InvalidResolution(f32),
     /// The grid would need more cells than allowed.
@@ -31,9 +31,9 @@ pub enum GridError {
          maximum range and the poses, or allow more cells"
     )]
     TooLarge {
-        /// Where the point is, metres.
+        /// Coordinate of the point, metres.
         x: f32,
-        /// Where the point is, metres.
+        /// Coordinate of the point, metres.
         y: f32,
         /// The limit.
         max_cells: usize,
@@ -41,7 +41,7 @@ pub enum GridError {
     /// A list of cells does not fit the limits.
     #[error("the grid has {expected} cells but {found} {what} are given: the map is damaged")]
     CellCount {
-        /// Which list.
+        /// Name of the list.
         what: &'static str,
         /// Product of the sizes.
         expected: u64,
@@ -51,14 +51,14 @@ pub enum GridError {
     /// The bounds of the cell values are not usable.
     #[error("cell values from {lower} to {upper} ({what}) are not a range: the map is damaged")]
     InvalidBounds {
-        /// Which bounds.
+        /// Name of the bounds.
         what: &'static str,
         /// Given lower bound.
         lower: f32,
         /// Given upper bound.
         upper: f32,
     },
-    /// Nothing can be drawn from a place that is not finite, or too far away for a grid in 3D.
+    /// The origin of a scan is not finite, or too far away for a grid in 3D.
     #[error("the origin of the range data is ({x}, {y}, {z}): it must be finite and within the grid")]
     InvalidOrigin {
         /// Metres.
@@ -70,7 +70,7 @@ pub enum GridError {
     },
 }
 
-/// Why an inserter refuses its options.
+/// Error of the options of an inserter.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum InserterOptionError {
     /// A hit must make a cell more likely occupied.
@@ -98,7 +98,7 @@ pub enum InserterOptionError {
 }
 
 impl InserterOptionError {
-    /// Checks what hits and misses say.
+    /// Checks the probabilities of hits and misses.
     pub(crate) fn check_probabilities(hit: f64, miss: f64) -> Result<(), Self> {
         if !(hit > 0.5 && hit < 1.0) {
             return Err(Self::HitProbability(hit));

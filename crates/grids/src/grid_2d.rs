@@ -1,4 +1,4 @@
-//! Either of the 2D grids, for those who do not care which.
+//! Either of the 2D grids, for code that works with both.
 
 use super::value::ValueCode;
 use super::{CellBox, CellIndex, MapLimits, ProbabilityGrid, Tsdf2d};
@@ -12,14 +12,14 @@ pub enum Grid2d {
     Tsdf(Tsdf2d),
 }
 
-/// What a cell of a 2D grid says.
+/// Value of a cell of a 2D grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum CellValue {
-    /// Nothing.
+    /// Unknown.
     Unknown,
-    /// How likely it is occupied.
+    /// Probability that it is occupied.
     Probability(f32),
-    /// How far the nearest surface is, and how well that is known.
+    /// Distance to the nearest surface, with its weight.
     Distance {
         /// Signed, metres.
         metres: f32,
@@ -36,7 +36,7 @@ impl Grid2d {
         }
     }
 
-    /// Where the grid lies.
+    /// Position, resolution and size of the grid.
     pub fn limits(&self) -> &MapLimits {
         &self.grid().limits
     }
@@ -51,7 +51,7 @@ impl Grid2d {
         self.grid().known_box
     }
 
-    /// How the cells are coded; its bounds are the smallest and the largest correspondence cost.
+    /// Code of the cells; its bounds are the smallest and the largest correspondence cost.
     pub fn code(&self) -> &ValueCode {
         &self.grid().code
     }
@@ -61,8 +61,8 @@ impl Grid2d {
         self.grid().is_known(cell)
     }
 
-    /// How badly an obstacle fits into a cell: one minus probability, or signed distance in metres. The
-    /// largest cost where nothing is known and outside.
+    /// Cost of an obstacle in a cell: one minus probability, or signed distance in metres. The largest cost
+    /// where nothing is known and outside.
     pub fn correspondence_cost(&self, cell: CellIndex) -> f32 {
         match self {
             Self::Probability(g) => g.correspondence_cost(cell),
@@ -70,7 +70,7 @@ impl Grid2d {
         }
     }
 
-    /// What a cell says.
+    /// Value of a cell.
     pub fn value(&self, cell: CellIndex) -> CellValue {
         match self {
             _ if !self.is_known(cell) => CellValue::Unknown,
@@ -79,8 +79,8 @@ impl Grid2d {
         }
     }
 
-    /// Gives cells other values; those for which there is none keep theirs. Values of the other kind of grid count as
-    /// unknown. How many cells got one.
+    /// Gives cells new values; cells for which there is none keep theirs. Values of the other kind of grid
+    /// count as unknown. Returns the number of cells that got one.
     pub fn rewrite(&mut self, new_value: impl Fn(CellIndex) -> Option<CellValue>) -> usize {
         let limits = *self.limits();
         let all = super::cells::full_box(&limits).cells();

@@ -1,4 +1,4 @@
-//! The grid of 3D submaps: how probable it is that a cell in 3D is occupied.
+//! The grid of 3D submaps: probabilities that cells in 3D are occupied.
 
 use portolan_geometry::Point3f;
 use portolan_sensor::lround_small;
@@ -7,7 +7,7 @@ use super::value::{MIN_PROBABILITY, PROBABILITY_CODE, UNKNOWN_CELL};
 use super::voxel_map::{Block, BlockKey, VoxelMap};
 use super::{GridError, MAX_VOXEL_INDEX, VoxelIndex};
 
-/// Where the cells of a grid in 3D are: cell i spans half an edge to both sides of i times the edge.
+/// Geometry of the cells of a grid in 3D: cell i spans half an edge to both sides of i times the edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VoxelLattice {
     /// Edge of a cell, metres.
@@ -27,7 +27,7 @@ impl VoxelLattice {
         }
     }
 
-    /// The cell of a place, each coordinate divided in single precision and rounded half away from zero;
+    /// The cell of a position, each coordinate divided in single precision and rounded half away from zero;
     /// none where there are no cells.
     #[inline]
     pub fn cell(&self, point: &Point3f) -> Option<VoxelIndex> {
@@ -35,8 +35,8 @@ impl VoxelLattice {
         super::voxel_map::is_possible(cell).then_some(cell)
     }
 
-    /// The same without looking whether there is such a cell; far away it is one outside, and where a
-    /// coordinate is no number it is outside, too.
+    /// The same without checking whether there is such a cell; far away, and where a coordinate is
+    /// not-a-number, the result is outside.
     #[inline(always)]
     pub fn unchecked_cell(&self, place: [f32; 3]) -> VoxelIndex {
         // Written out: `map` on arrays is not always compiled into the loops that need it.
@@ -83,7 +83,7 @@ impl HybridGrid {
         self.lattice.resolution
     }
 
-    /// Where its cells are.
+    /// Geometry of its cells.
     #[inline]
     pub fn lattice(&self) -> VoxelLattice {
         self.lattice
@@ -95,7 +95,7 @@ impl HybridGrid {
         &self.cells
     }
 
-    /// How many cells are known.
+    /// Number of known cells.
     pub fn num_cells(&self) -> usize {
         self.cells.num_cells()
     }
@@ -142,7 +142,7 @@ impl HybridGrid {
         self.cells.corners(low).map(decode)
     }
 
-    /// Sets the probability of a cell, clamped to [0.1, 0.9]. Whether there is such a cell.
+    /// Sets the probability of a cell, clamped to [0.1, 0.9]. Returns whether there is such a cell.
     pub fn set_probability(&mut self, cell: VoxelIndex, probability: f32) -> bool {
         self.set_code(cell, PROBABILITY_CODE.encode(probability))
     }
@@ -156,7 +156,7 @@ impl HybridGrid {
         self.cells.update_block(key, update)
     }
 
-    /// Hands on every known cell with its code, in the order of map files.
+    /// Visits every known cell with its code, in the order of map files.
     pub fn for_each_cell(&self, visit: impl FnMut(VoxelIndex, u16)) {
         self.cells.for_each_in_file_order(visit);
     }

@@ -1,4 +1,4 @@
-//! Hybrid grids as map files hold them: four lists of equal length.
+//! Hybrid grids in the form of map files: four lists of equal length.
 
 use super::value::{UNKNOWN_CELL, UPDATE_MARKER};
 use super::{GridError, HybridGrid};
@@ -18,7 +18,7 @@ pub struct HybridGridParts {
     pub values: Vec<i32>,
 }
 
-/// What was put right in the parts of a hybrid grid.
+/// Repairs of the parts of a hybrid grid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct HybridGridRepairs {
     /// Cells left out because their indices are outside −8192…8191.

@@ -1,4 +1,4 @@
-//! Drawing range data into grids in 3D.
+//! Inserts range data into grids in 3D.
 
 use portolan_sensor::RangeData;
 
@@ -7,14 +7,14 @@ use super::voxel_map::BlockKey;
 use super::{GridError, HybridGrid, InsertReport, InserterOptionError, IntensityGrid, VoxelIndex, is_finite};
 use crate::voxel_order::sort_by_voxel;
 
-/// How strongly a scan changes the cells it meets.
+/// Options of inserting scans into hybrid grids: how strongly a scan changes cells.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HybridInserterOptions {
     /// Probability that a cell in which a ray ended is occupied; above 0.5, default 0.55.
     pub hit_probability: f64,
     /// Probability that a cell through which a ray passed is occupied; below 0.5, default 0.49.
     pub miss_probability: f64,
-    /// How many cells in front of each hit become less probable, default 2.
+    /// Number of cells in front of each hit that become less probable, default 2.
     pub num_free_space_voxels: u32,
     /// Intensities above this are left out, default 40.
     pub intensity_threshold: f32,
@@ -31,7 +31,7 @@ impl Default for HybridInserterOptions {
     }
 }
 
-/// Draws range data into hybrid grids.
+/// Inserts range data into hybrid grids.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HybridInserter {
     hit_table: UpdateTable,
@@ -55,10 +55,10 @@ impl HybridInserter {
         })
     }
 
-    /// Draws the returns of one scan (metres, in the frame of the grid) that are at most `max_range`
-    /// metres from its origin. The cells in which rays end become more probable, the last few cells before
-    /// them less (`slam3d.md` §5). A cell changes at most once, and being hit wins. `intensities` gets the
-    /// intensity of each return that has one below the threshold. Misses do not count in 3D.
+    /// Inserts the returns of one scan (metres, in the frame of the grid) that are at most `max_range` metres
+    /// from its origin. The cells in which rays end become more probable, the last few cells before them less
+    /// (`slam3d.md` §5). A cell changes at most once, and being hit wins. `intensities` gets the intensity of
+    /// each return that has one below the threshold. Misses do not count in 3D.
     ///
     /// # Errors
     /// If the origin is not finite or outside of what a grid can hold; nothing is changed then.
@@ -79,7 +79,7 @@ impl HybridInserter {
         Ok(self.insert_all(std::slice::from_ref(range_data), max_range, grid))
     }
 
-    /// Gives cells the intensities of the returns of a scan, as [`Self::insert`] does.
+    /// Adds the intensities of the returns of a scan to cells, as [`Self::insert`] does.
     pub fn insert_intensities(&self, range_data: &RangeData, max_range: f32, grid: &mut IntensityGrid) {
         let returns = &range_data.returns;
         for (point, intensity) in returns.points.iter().zip(&returns.intensities) {
@@ -90,8 +90,8 @@ impl HybridInserter {
         }
     }
 
-    /// Draws scans one after the other, as [`Self::insert`] does, without their intensities. Scans whose origin
-    /// the grid cannot hold are passed over. All changes are put in the order of blocks of cells first, so that
+    /// Inserts scans one after the other, as [`Self::insert`] does, without their intensities. Scans whose
+    /// origin the grid cannot hold are passed over. All changes are sorted by blocks of cells first, so that
     /// each block is fetched from memory once, however many scans change it.
     pub fn insert_all(&self, scans: &[RangeData], max_range: f32, grid: &mut HybridGrid) -> InsertReport {
         let mut report = InsertReport::default();
@@ -105,7 +105,7 @@ impl HybridInserter {
         report
     }
 
-    /// Adds what a scan changes.
+    /// Collects the changes by a scan.
     fn collect(
         &self,
         scan: &RangeData,
@@ -139,15 +139,15 @@ impl HybridInserter {
         }
     }
 
-    /// The last few cells on the way from `begin` to `end`: step k of n is k/n of the way along each axis,
-    /// without its fraction.
+    /// The last few cells on the ray from `begin` to `end`: step k of n is k/n of the distance along each
+    /// axis, without its fraction.
     #[inline]
     fn clear_before(&self, begin: VoxelIndex, end: VoxelIndex, mut clear: impl FnMut(VoxelIndex)) {
         let delta = [end[0] - begin[0], end[1] - begin[1], end[2] - begin[2]];
         let sizes = delta.map(i32::abs);
         let steps = sizes[0].max(sizes[1]).max(sizes[2]);
-        // From the end: j steps back along an axis is j/n of its way, with the fraction rounded up; a product that
-        // grows by no more than n is followed by a count, without a division.
+        // From the end: j steps back along an axis is j/n of its distance, with the fraction rounded up; a
+        // product that grows by no more than n is followed by a count, without a division.
         let (mut products, mut back) = ([0; 3], [0; 3]);
         for _ in 0..self.num_free_space_voxels.min(steps) {
             let mut cell = end;
@@ -162,7 +162,7 @@ impl HybridInserter {
         }
     }
 
-    /// Changes the cells; how many hits there was no room for.
+    /// Changes the cells; returns the number of hits for which there was no room.
     fn apply(&self, changes: Changes, grid: &mut HybridGrid) -> usize {
         let is_hit = |change: &&u64| **change >> PLACE_BITS & 1 == 0;
         let mut left_out = 0;
@@ -198,10 +198,10 @@ const SCAN_BITS: u32 = 63 - BlockKey::BITS - PLACE_BITS;
 const PLACE_BITS: u32 = 6;
 const PLACE_MASK: u64 = (1 << PLACE_BITS) - 1;
 const CHANGE_BITS: u32 = SCAN_BITS + 1 + PLACE_BITS;
-/// More changes than this are looked through for equal ones.
+/// Number of changes from which equal ones are removed.
 const MANY: usize = 1 << 22;
 
-/// How a scan changes a cell.
+/// Kind of change of a cell by a scan.
 #[derive(Clone, Copy)]
 enum Change {
     Hit = 0,
@@ -211,14 +211,14 @@ enum Change {
 /// Changes of cells by scans, a number each: in the order of scans, for each scan its hits first.
 struct Changes {
     numbers: Vec<u64>,
-    /// How many there may be until they are looked through.
+    /// Number of changes at which equal ones are removed.
     limit: usize,
     /// Some of the cells that the scan has changed. Most hits in coarse cells, and many cells before hits, are in one
     /// that was changed a little earlier.
     recent: Vec<u64>,
 }
 
-/// Cells that are remembered, a power of two: as many as fit the nearest memory.
+/// Number of recent cells that are kept, as a power of two: as many as fit the nearest cache.
 const RECENT_BITS: u32 = 11;
 
 impl Default for Changes {
@@ -231,7 +231,7 @@ impl Changes {
     /// Adds a change; false for one of a cell that the scan is known to have changed before.
     #[inline]
     fn add(&mut self, cell: VoxelIndex, scan: u64, change: Change) -> bool {
-        // Rays begin and end in cells that can be, and so do all between.
+        // Rays begin and end in possible cells, and so are all cells between.
         let Some((key, place)) = BlockKey::of(cell) else { return false };
         let by_hit = key.number() << CHANGE_BITS | scan << (PLACE_BITS + 1) | u64::from(place);
         let slot = by_hit.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - RECENT_BITS);
@@ -247,7 +247,7 @@ impl Changes {
         true
     }
 
-    /// Block by block.
+    /// The changes in order of blocks.
     fn in_order(mut self) -> Vec<u64> {
         sort_by_voxel(&mut self.numbers, CHANGE_BITS);
         self.numbers

@@ -1,4 +1,4 @@
-//! Drawing range data into a probability grid.
+//! Inserts range data into a probability grid.
 
 use portolan_geometry::{Point3f, Vector2f};
 use portolan_sensor::RangeData;
@@ -7,12 +7,13 @@ use super::joined_surfaces::between_neighbours;
 use super::value::{UpdateTable, odds};
 use super::{CellIndex, GridError, InserterOptionError, ProbabilityGrid, for_each_cell_on_ray};
 
-/// Rays are cast between the thousandth parts of cells.
+/// Subpixels per cell between which rays are cast.
 pub(crate) const SUBPIXELS: i64 = 1000;
-/// Cells a grid may grow to unless set otherwise: 8192×8192 cells, 128 MB.
+/// Default maximum number of cells of a grid: 8192×8192 cells, 128 MB.
 pub const DEFAULT_MAX_CELLS: usize = 1 << 26;
 
-/// How strongly a scan changes the cells it meets.
+/// Options of inserting scans into a probability grid: how strongly a scan changes cells, and limits of the
+/// grid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ProbabilityInserterOptions {
     /// Probability that a cell in which a ray ended is occupied; above 0.5, default 0.55.
@@ -21,9 +22,9 @@ pub struct ProbabilityInserterOptions {
     pub miss_probability: f64,
     /// Whether rays clear the cells they pass, default true.
     pub insert_free_space: bool,
-    /// Cells the grid may grow to, default 2²⁶.
+    /// Maximum number of cells of the grid, default 2²⁶.
     pub max_cells: usize,
-    /// Whether what lies between neighbouring returns of one surface is hit, too, default false.
+    /// Whether the space between neighbouring returns of one surface is hit, too, default false.
     pub join_surfaces: bool,
 }
 
@@ -39,10 +40,10 @@ impl Default for ProbabilityInserterOptions {
     }
 }
 
-/// What became of the points of a scan.
+/// Statistics of the points of a scan.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct InsertReport {
-    /// Returns drawn.
+    /// Returns inserted.
     pub hits: usize,
     /// Points left out because they are not finite.
     pub not_finite: usize,
@@ -50,7 +51,7 @@ pub struct InsertReport {
     pub outside: usize,
 }
 
-/// Draws range data into probability grids.
+/// Inserts range data into probability grids.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ProbabilityInserter {
     hit_table: UpdateTable,
@@ -77,9 +78,9 @@ impl ProbabilityInserter {
         })
     }
 
-    /// Draws one scan (metres, in the frame of the grid): cells in which rays end become more likely
-    /// occupied, cells they pass on the way from the origin less. A cell changes at most once, and being
-    /// hit wins over being passed. The grid grows as needed.
+    /// Inserts one scan (metres, in the frame of the grid): cells in which rays end become more likely
+    /// occupied, cells that they pass from the origin on less. A cell changes at most once, and being hit
+    /// wins over being passed. The grid grows as needed.
     ///
     /// # Errors
     /// If the origin is not finite or the grid would grow too large; the grid stays as it is.
@@ -95,11 +96,12 @@ impl ProbabilityInserter {
     }
 }
 
-/// From the cell of the origin to another: columns and rows.
+/// Offset of a cell from the cell of the origin: columns and rows.
 pub(super) type Offset = [i64; 2];
 
-/// Draws one scan, as [`ProbabilityInserter::insert`] says. `hit` and `free` say how a cell so far from the origin changes;
-/// without `free` rays clear nothing. Points of surfaces `between` neighbouring returns are hit, and there is no ray to them.
+/// Inserts one scan, as [`ProbabilityInserter::insert`]. `hit` and `free` give the update of a cell at an
+/// offset from the origin; without `free` rays clear nothing. Points of surfaces `between` neighbouring
+/// returns are hit, but no rays are cast to them.
 pub(super) fn draw<'a>(
     (range_data, between): (&RangeData, &[Vector2f]),
     grid: &mut ProbabilityGrid,
@@ -134,7 +136,7 @@ pub(super) fn draw<'a>(
                 cells.apply_at(index(x, y), free([x - origin[0], y - origin[1]]));
             });
         }
-        // Every cell of a ray is known by now and lies in the box of its two ends.
+        // Every cell of a ray is known by now and is in the box of its two ends.
         for end in ends[num_hits..].iter().chain([&begin]) {
             let [x, y] = cell(end);
             cells.extend_known_box(CellIndex::new(x as i32, y as i32));
@@ -186,14 +188,14 @@ impl Bounds {
         self.max = self.max.sup(&point);
     }
 
-    /// Both corners, moved out by a hair so that no point lies on the edge of the grid.
+    /// Both corners, moved outwards by 1 µm so that no point is on the edge of the grid.
     pub fn padded(&self) -> [Vector2f; 2] {
         let padding = Vector2f::repeat(1e-6);
         [self.min - padding, self.max + padding]
     }
 }
 
-/// From points to subpixels of a grid.
+/// Converts points to subpixels of a grid.
 pub(crate) struct SubpixelIndex {
     limits: super::MapLimits,
     resolution: f64,

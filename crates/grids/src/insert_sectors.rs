@@ -1,8 +1,9 @@
-//! Drawing range data whose beams stand for sectors.
+//! Inserts range data whose beams represent sectors.
 //!
-//! A beam samples the sector halfway to its neighbours. Far away that is many cells wide, and what the beam says holds
-//! for one place of them: along a wall, beams a degree apart whose heading is off by a fraction of that wipe out what
-//! was seen from nearby. So the evidence of a beam (log odds) is shared out over the cells across its sector.
+//! A beam samples the sector halfway to its neighbours. Far away that sector is many cells wide, and the
+//! measurement holds for one of them only. Along a wall, beams a degree apart with a heading error of a
+//! fraction of that erase cells that were measured from nearby. So the evidence of a beam (log odds) is
+//! distributed over the cells across its sector.
 
 use std::f32::consts::TAU;
 
@@ -12,10 +13,11 @@ use super::insert_probability::{Offset, draw};
 use super::value::{UpdateTable, odds};
 use super::{GridError, InsertReport, InserterOptionError, ProbabilityGrid, ProbabilityInserterOptions};
 
-/// Weights of evidence: 1, and each √½ of the one before, down to 1/64: 64 cells across are 180 m at 1° and 5 cm.
+/// Number of weights of evidence: 1, and each √½ of the one before, down to 1/64: 64 cells across are 180 m
+/// at 1° and 5 cm.
 const LEVELS: usize = 13;
 
-/// Draws range data into probability grids, every beam as a sector.
+/// Inserts range data into probability grids, every beam as a sector.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SectorInserter {
     /// By level.
@@ -49,9 +51,9 @@ impl SectorInserter {
         })
     }
 
-    /// Draws one scan (metres, in the frame of the grid) whose beams are `spacing` radians apart: as
-    /// [`ProbabilityInserter::insert`](super::ProbabilityInserter::insert) where the sector of a beam is narrower than a
-    /// cell, with evidence in inverse proportion to its width beyond.
+    /// Inserts one scan (metres, in the frame of the grid) whose beams are `spacing` radians apart: as
+    /// [`ProbabilityInserter::insert`](super::ProbabilityInserter::insert) where the sector of a beam is
+    /// narrower than a cell, with evidence in inverse proportion to its width beyond.
     ///
     /// # Errors
     /// If the origin is not finite or the grid would grow too large; the grid stays as it is.
@@ -73,8 +75,9 @@ impl SectorInserter {
     }
 }
 
-/// How far the beams of a scan are apart, radians: the lower quartile of the angles from one point to the next around the
-/// origin, because thinning leaves out points and some beams bring none. Infinity with fewer than two points.
+/// Angle between the beams of a scan, radians: the lower quartile of the angles from one point to the next
+/// around the origin, because thinning leaves out points and some beams have no return. Infinity with fewer
+/// than two points.
 pub fn beam_spacing(scan: &RangeData) -> f32 {
     let origin = scan.origin;
     let points = scan.returns.points.iter().chain(&scan.misses.points);

@@ -1,4 +1,4 @@
-//! Drawing range data into a truncated signed distance field.
+//! Inserts range data into a truncated signed distance field.
 
 use portolan_geometry::{Point3f, Vector2f};
 use portolan_sensor::RangeData;
@@ -9,7 +9,7 @@ use super::insert_probability::{
 use super::normals::{NormalEstimationOptions, estimate_normals, sort_by_direction};
 use super::{CellIndex, GridError, InserterOptionError, Tsdf2d, for_each_cell_on_ray};
 
-/// How a scan changes a distance field.
+/// Options of inserting scans into a distance field.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TsdfInserterOptions {
     /// Distances are clamped to this, metres, default 0.3; that of the field.
@@ -18,7 +18,7 @@ pub struct TsdfInserterOptions {
     pub maximum_weight: f64,
     /// Whether cells between sensor and surface are updated too, default false.
     pub update_free_space: bool,
-    /// How normals are found.
+    /// Options of the estimation of normals.
     pub normal_estimation: NormalEstimationOptions,
     /// Whether distances are measured along the surface normal rather than along the ray, default true.
     pub project_sdf_distance_to_scan_normal: bool,
@@ -30,7 +30,7 @@ pub struct TsdfInserterOptions {
     /// Width (metres) of the kernel by which weights fall with the distance from the hit; 0 for none,
     /// default 0.5.
     pub update_weight_distance_cell_to_hit_kernel_bandwidth: f64,
-    /// Cells the field may grow to, default 2²⁶.
+    /// Maximum number of cells of the field, default 2²⁶.
     pub max_cells: usize,
 }
 
@@ -50,7 +50,7 @@ impl Default for TsdfInserterOptions {
     }
 }
 
-/// Draws range data into distance fields. All arithmetic is single precision, on which equality at the
+/// Inserts range data into distance fields. All arithmetic is single precision, on which equality at the
 /// borders of cells depends.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TsdfInserter {
@@ -101,9 +101,9 @@ impl TsdfInserter {
         })
     }
 
-    /// Draws one scan (metres, in the frame of the field): cells near where rays end learn their
-    /// distance to the surface. A cell changes at most once, by the first ray. The field grows as
-    /// needed. Misses are not used.
+    /// Inserts one scan (metres, in the frame of the field): cells near the ends of rays get their distance
+    /// to the surface. A cell changes at most once, by the first ray. The field grows as needed. Misses are
+    /// not used.
     ///
     /// # Errors
     /// If the origin is not finite or the field would grow too large; the field stays as it is.
@@ -204,7 +204,7 @@ fn gaussian_kernel(x: f32, sigma: f32) -> f32 {
     ((-0.5 * x * x / (sigma * sigma)).exp() / ((2.0 * std::f64::consts::PI).sqrt() * sigma)) as f32
 }
 
-/// An angle within one turn of [−π, π], moved into it.
+/// An angle within one revolution of [−π, π], moved into it.
 fn normalized(mut angle: f32) -> f32 {
     use std::f32::consts::PI;
     while angle > PI {

@@ -6,7 +6,7 @@ use super::hybrid::VoxelLattice;
 use super::voxel_map::VoxelMap;
 use super::{GridError, VoxelIndex};
 
-/// Sum and number of the intensities met in a cell.
+/// Sum and number of the intensities measured in a cell.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Average {
     sum: f32,
@@ -21,7 +21,7 @@ impl Average {
     }
 }
 
-/// How bright a lidar saw each cell, on average. Cells never met have intensity 0.
+/// Mean intensity that a lidar measured in each cell. Unknown cells have intensity 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct IntensityGrid {
     lattice: VoxelLattice,
@@ -42,7 +42,7 @@ impl IntensityGrid {
         self.lattice.resolution
     }
 
-    /// Where its cells are.
+    /// Geometry of its cells.
     #[inline]
     pub fn lattice(&self) -> VoxelLattice {
         self.lattice
@@ -54,7 +54,7 @@ impl IntensityGrid {
         &self.cells
     }
 
-    /// How many cells have an intensity.
+    /// Number of cells with an intensity.
     pub fn num_cells(&self) -> usize {
         self.cells.num_cells()
     }
@@ -64,7 +64,7 @@ impl IntensityGrid {
         self.lattice.cell(point)
     }
 
-    /// Takes one more intensity into account. Whether there is such a cell; not-a-number is left out.
+    /// Adds an intensity to a cell. Returns whether there is such a cell; not-a-number is left out.
     pub fn add_intensity(&mut self, cell: VoxelIndex, intensity: f32) -> bool {
         if !intensity.is_finite() {
             return false;
@@ -75,7 +75,7 @@ impl IntensityGrid {
         true
     }
 
-    /// The mean of the intensities met in a cell; 0 if there are none.
+    /// The mean of the intensities measured in a cell; 0 if there are none.
     pub fn intensity(&self, cell: VoxelIndex) -> f32 {
         self.cells.get(cell).unwrap_or_default().mean()
     }

@@ -1,20 +1,21 @@
-//! Surfaces between neighbouring beams.
+//! Fills surfaces between neighbouring beams.
 //!
-//! Far away neighbouring beams are many cells apart, and what they hit is drawn as dots. A scan taken half a metre on
-//! hits the same wall between the dots, where the grid knows nothing. Where neighbours lie on one line with the beam
-//! before or after them they hit one surface, and what is between them is a part of it.
+//! Far away neighbouring beams are many cells apart, and their hits form dots in the grid. A scan taken half
+//! a metre farther on hits the same wall between the dots, where the grid is unknown. If neighbours are on
+//! one line with the beam before or after them they hit one surface, and the points between them are a part
+//! of it.
 //!
-//! Submaps that are drawn again at the end do without: what is drawn sharp everywhere lets a robot be localised in another
-//! building (docs/experiments/2026-11-far-walls-2d.md).
+//! Submaps that are made again at the end do without: sharp walls everywhere let a robot be localised in
+//! another building (docs/experiments/2026-11-far-walls-2d.md).
 
 use portolan_geometry::{Point3f, Vector2f};
 use portolan_sensor::RangeData;
 
 use super::insert_sectors::beam_spacing;
 
-/// Beams so many spacings apart are neighbours: none is missing between them.
+/// Maximum angle between neighbouring beams, in beam spacings: none is missing between them.
 const NEIGHBOURS: f32 = 1.5;
-/// What is farther apart is not joined, metres: a door fits in between.
+/// Maximum distance between returns that are joined, metres: a door fits into a wider gap.
 const FARTHEST: f32 = 0.8;
 
 /// Points between neighbouring returns of one surface, `step` metres apart at most, in the frame of the scan, metres.
@@ -96,7 +97,7 @@ mod tests {
         let points = between_neighbours(&scan(wall(20.0)), 0.1);
         assert!(points.len() > 300, "{}", points.len());
         assert!(points.iter().all(|point| (point.y - 20.0).abs() < 1e-3));
-        // The widest gaps that are joined are 0.8 m, where the wall is met at a grazing angle.
+        // The widest gaps that are joined are 0.8 m, where beams hit the wall at a grazing angle.
         assert!(points.iter().all(|point| point.x.abs() < 23.5));
         assert!(between_neighbours(&scan(wall(1.0)), 0.1).iter().all(|point| point.x.abs() > 1.5));
     }

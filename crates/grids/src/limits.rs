@@ -1,10 +1,10 @@
-//! Where a 2D grid lies and how points become cells.
+//! Position and size of a 2D grid, and conversion of points to cells.
 
 use portolan_geometry::{Vector2, Vector2f};
 
 use super::GridError;
 
-/// Indices of a cell of a 2D grid. They may lie outside the grid.
+/// Indices of a cell of a 2D grid. They may be outside the grid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct CellIndex {
     /// Along −y of the map.
@@ -53,12 +53,12 @@ impl CellBox {
         }
     }
 
-    /// How many cells along the first index; at least one unless the box is inverted.
+    /// Number of cells along the first index; at least one unless the box is inverted.
     pub fn num_x_cells(&self) -> u32 {
         u32::try_from(i64::from(self.max.x) - i64::from(self.min.x) + 1).unwrap_or(0)
     }
 
-    /// How many cells along the second index.
+    /// Number of cells along the second index.
     pub fn num_y_cells(&self) -> u32 {
         u32::try_from(i64::from(self.max.y) - i64::from(self.min.y) + 1).unwrap_or(0)
     }
@@ -120,8 +120,8 @@ impl MapLimits {
         Self::new(resolution, origin + Vector2::repeat(50.0 * resolution), 100, 100)
     }
 
-    /// Limits in which all points (metres) lie, a cell from the edge or more. Cells have an edge of `finest` metres, doubled
-    /// until there are about `max_cells` at most. None without a point.
+    /// Limits that contain all points (metres), a cell from the edge or more. Cells have an edge of `finest`
+    /// metres, doubled until there are at most about `max_cells`. None without a point.
     ///
     /// # Errors
     /// If a number is not finite.
@@ -162,7 +162,7 @@ impl MapLimits {
         self.num_y_cells
     }
 
-    /// How many cells there are.
+    /// Number of cells.
     pub fn num_cells(&self) -> usize {
         self.num_x_cells as usize * self.num_y_cells as usize
     }

@@ -1,4 +1,5 @@
-//! How well a match tells where a scan lies in a grid: along a corridor whose doors look alike it hardly does.
+//! Estimates the uncertainty of a match along its least constrained direction: along a corridor whose doors
+//! look alike it is large.
 
 use std::f64::consts::PI;
 
@@ -9,43 +10,46 @@ use portolan_sensor::PointCloud;
 
 use super::{Grid2d, ProbabilityGrid};
 
-/// Directions are compared by the likelihood of shifts along them. So many, evenly over half a turn, are compared by shifts of
-/// up to this, metres.
+/// Number of directions, evenly over half a turn, that are compared first, by the likelihood of shifts along
+/// them.
 const COARSE_DIRECTIONS: u32 = 18;
+/// Longest shift in this comparison, metres.
 const COARSE_SHIFT: f64 = 0.4;
-/// Then those around the best one, in steps of one so manieth of the coarse step, by longer shifts (metres): a wall 5 m away is
-/// still met if the direction is right to a third of a degree.
+/// Refinements of the best direction: steps as a fraction 1/x of the coarse step, and longest shifts
+/// (metres). A wall 5 m away is still hit if the direction is right to a third of a degree.
 const FINER: [(f64, f64); 2] = [(8.0, 1.5), (32.0, 5.0)];
-/// The shifts, as parts of the longest.
+/// The shifts, as fractions of the longest.
 const PARTS: [f64; 8] = [-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0];
-/// Submaps are bent a little: each place is the best of those so many cells to both sides.
+/// Number of cells to both sides of each place of which the best is taken: submaps are bent a little.
 const ACROSS: i32 = 2;
-/// What cells do not explain of a point: people, glass, what has changed.
+/// Probability that a point is not explained by cells: people, glass, changes.
 const UNEXPLAINED: f64 = 0.1;
-/// How probable it is that a cell of which nothing is known stops a beam.
+/// Probability that an unknown cell stops a beam.
 const UNKNOWN: f64 = 0.3;
-/// A scan lies in the grid if so much of it ends in cells that are known.
+/// Fraction of points in known cells from which a scan counts as inside the grid.
 const KNOWN_SHARE: f64 = 0.5;
-/// Neighbouring points share the errors of the grid, so that so many count as one: places of right matches then scatter as
-/// they say, and of those that say less than 0.25 m one in a hundred is wrong (docs/experiments/2026-11-corridor-loops.md).
+/// Number of points that count as one independent measurement, because neighbouring points share the errors
+/// of the grid. With it the scatter of right matches agrees with their sigma, and of those with less than
+/// 0.25 m one in a hundred is wrong (docs/experiments/2026-11-corridor-loops.md).
 const POINTS_PER_INDEPENDENT_ONE: f64 = 10.0;
-/// So many points are asked, evenly from all of them.
+/// Maximum number of points used, evenly chosen from all.
 const MOST_POINTS: usize = 90;
-/// Metres around the match that are looked at in any case.
+/// Minimum distance around the match that is examined, metres.
 const LEAST_REACH: f64 = 1.0;
 
-/// The direction in which a match tells least.
+/// The least constrained direction of a match.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MatchSpread {
     /// Unit vector in the frame of the scan.
     pub direction: Vector2<f64>,
-    /// Root mean square of how far the scan may be from the match along it, metres.
+    /// Root mean square distance of the scan from the match along it, metres.
     pub sigma: f64,
 }
 
-/// How far a scan may be from where it was found (frame of the grid) along the direction in which it tells least: the
-/// likelihood of all places along it (a histogram filter of one dimension: Thrun, Burgard and Fox, "Probabilistic Robotics",
-/// §4.1) that are as far as `reach` metres from `guess` or near the match. None for distance fields and without points.
+/// Uncertainty of a match (frame of the grid) along its least constrained direction: from the likelihood of
+/// all places along it (a histogram filter of one dimension: Thrun, Burgard and Fox, "Probabilistic
+/// Robotics", §4.1) within `reach` metres of `guess` or near the match. None for distance fields and without
+/// points.
 pub fn match_spread(
     grid: &Grid2d,
     grid_from_scan: &Rigid2,
@@ -74,18 +78,18 @@ pub fn match_spread(
         .then(|| MatchSpread { direction: scan_from_grid.transform_point(&direction), sigma: square.sqrt() })
 }
 
-/// What the grid says of a scan at a place.
+/// Likelihood of a scan at a place.
 struct Place {
     log_likelihood: f64,
-    /// Share of the points that end in cells that are known.
+    /// Fraction of the points that end in known cells.
     known: f64,
 }
 
-/// Where the beams of a scan end.
+/// Ends of the beams of a scan.
 struct Ends<'a> {
     grid: &'a ProbabilityGrid,
     ends: Vec<Vector2<f64>>,
-    /// Of all points of the scan.
+    /// Number of independent measurements of the whole scan.
     independent: f64,
 }
 
@@ -138,8 +142,8 @@ mod tests {
     use super::*;
     use crate::MapLimits;
 
-    /// Walls of a corridor along x, with a door in a recess every four metres, and with `end` (x) a wall across, behind which
-    /// there is nothing.
+    /// Walls of a corridor along x, with a door in a recess every four metres, and with `end` (x) a wall
+    /// across, beyond which nothing is known.
     fn walls(half_length: f64, end: Option<f64>) -> Vec<Vector2<f64>> {
         let steps = (half_length / 0.05) as i32;
         let sides = (-steps..=steps).map(|i| 0.05 * f64::from(i)).flat_map(|x| {
@@ -150,7 +154,7 @@ mod tests {
         sides.chain(across).filter(|wall| end.is_none_or(|end| wall.x <= end)).collect()
     }
 
-    /// How far a scan that was taken at the origin of a corridor along a direction spreads, looked for within 10 m.
+    /// Spread of a scan that was taken at the origin of a corridor along a direction, within 10 m.
     fn spread(heading: f64, end: Option<f64>) -> MatchSpread {
         let map_from_corridor = Rigid2::new(0.0, 0.0, heading);
         let limits = MapLimits::new(0.05, Vector2::new(15.0, 15.0), 600, 600).unwrap();
@@ -161,7 +165,7 @@ mod tests {
             grid.set_probability(cell, 0.15);
         }
         let mut solid = ProbabilityGrid::new(*grid.limits());
-        // Walls are as thick as scans that differ by a cell draw them.
+        // Walls are as thick as after inserting scans that differ by a cell.
         for wall in walls(13.0, end).into_iter().flat_map(around) {
             let cell = solid.limits().cell_index(map_from_corridor.transform_point(&wall).cast::<f32>());
             solid.set_probability(cell, 0.9);
@@ -188,7 +192,7 @@ mod tests {
         })
     }
 
-    /// What is solid in one grid, on top of another.
+    /// The occupied cells of one grid, on top of another.
     fn merge(below: &ProbabilityGrid, above: &ProbabilityGrid) -> ProbabilityGrid {
         let mut merged = ProbabilityGrid::new(*below.limits());
         for cell in (0..600).flat_map(|x| (0..600).map(move |y| crate::CellIndex::new(x, y))) {

@@ -1,4 +1,4 @@
-//! Normals of a planar scan.
+//! Estimates the normals of a planar scan.
 
 use portolan_geometry::{Point3f, Vector2f};
 
@@ -7,9 +7,9 @@ use super::InserterOptionError;
 /// Which neighbours along the scan determine a normal.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NormalEstimationOptions {
-    /// How many neighbours at most, default 4.
+    /// Maximum number of neighbours, default 4.
     pub num_normal_samples: usize,
-    /// How far from the point they may be, metres, default 0.5.
+    /// Maximum distance from the point, metres, default 0.5.
     pub sample_radius: f64,
 }
 

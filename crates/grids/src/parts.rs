@@ -1,4 +1,4 @@
-//! 2D grids taken apart and put together, for files.
+//! Converts 2D grids to and from the parts that files hold.
 
 use super::value::{UNKNOWN_CELL, UPDATE_MARKER, ValueCode};
 use super::{CellBox, CellGrid, CellIndex, Grid2d, GridError, MapLimits, ProbabilityGrid, Tsdf2d};
@@ -6,7 +6,7 @@ use super::{CellBox, CellGrid, CellIndex, Grid2d, GridError, MapLimits, Probabil
 /// Everything a 2D grid consists of.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GridParts {
-    /// Where the grid lies.
+    /// Position, resolution and size of the grid.
     pub limits: MapLimits,
     /// Codes, the first index running fastest; as many as the limits say.
     pub cells: Vec<u16>,
@@ -20,7 +20,7 @@ pub struct GridParts {
     pub tsdf: Option<TsdfParts>,
 }
 
-/// What a truncated signed distance field has beyond a probability grid.
+/// Parts of a truncated signed distance field beyond those of a probability grid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TsdfParts {
     /// Metres.
@@ -31,7 +31,7 @@ pub struct TsdfParts {
     pub weight_cells: Vec<u16>,
 }
 
-/// What was put right while a grid was put together.
+/// Repairs made while a grid was assembled.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct GridRepairs {
     /// Cells and weights that carried the update marker of an unfinished scan, now removed.
@@ -43,14 +43,14 @@ pub struct GridRepairs {
 }
 
 impl GridRepairs {
-    /// Whether anything was put right.
+    /// Whether anything was repaired.
     pub fn any(&self) -> bool {
         *self != Self::default()
     }
 }
 
 impl Grid2d {
-    /// Puts a grid together and says what had to be put right.
+    /// Assembles a grid and reports what had to be repaired.
     ///
     /// # Errors
     /// If the lists have the wrong length or bounds of values are not a range.
@@ -76,7 +76,7 @@ impl Grid2d {
         Ok((Self::Tsdf(Tsdf2d { grid, weight_code, weights }), repairs))
     }
 
-    /// Takes a copy of the grid apart; pending updates are ended.
+    /// The parts of a copy of the grid; pending updates are ended.
     pub fn to_parts(&self) -> GridParts {
         let tsdf = match self {
             Self::Probability(_) => None,

@@ -8,19 +8,19 @@ use super::value::{
 };
 use super::{CellBox, CellGrid, CellIndex, GridError, MapLimits};
 
-/// How likely each cell is occupied, stored as coded correspondence cost (one minus probability).
+/// Probability that each cell is occupied, stored as coded correspondence cost (one minus probability).
 #[derive(Clone, Debug, PartialEq)]
 pub struct ProbabilityGrid {
     pub(crate) grid: CellGrid,
 }
 
 impl ProbabilityGrid {
-    /// A grid about which nothing is known.
+    /// A grid of unknown cells.
     pub fn new(limits: MapLimits) -> Self {
         Self { grid: CellGrid::new(limits, CORRESPONDENCE_COST_CODE) }
     }
 
-    /// Where the grid lies.
+    /// Position, resolution and size of the grid.
     pub fn limits(&self) -> &MapLimits {
         &self.grid.limits
     }
@@ -35,7 +35,7 @@ impl ProbabilityGrid {
         self.grid.known_box
     }
 
-    /// How costs are coded.
+    /// Code of the costs.
     pub fn code(&self) -> &ValueCode {
         &self.grid.code
     }
@@ -70,7 +70,7 @@ impl ProbabilityGrid {
         }
     }
 
-    /// Sets an unknown cell; whether it did. Known cells and cells outside stay as they are.
+    /// Sets an unknown cell; returns whether it did. Known cells and cells outside stay as they are.
     pub fn set_probability(&mut self, cell: CellIndex, probability: f32) -> bool {
         let Some(index) = self.grid.limits.flat_index(cell) else { return false };
         let code = self.grid.code.encode(1.0 - probability);
@@ -82,8 +82,8 @@ impl ProbabilityGrid {
         true
     }
 
-    /// Applies one observation to a cell unless the current scan has changed it already or it is
-    /// outside; whether it did. Ends with [`Self::finish_update`].
+    /// Applies one observation to a cell unless the current scan has changed it already or it is outside;
+    /// returns whether it did. Ends with [`Self::finish_update`].
     pub fn apply_update(&mut self, cell: CellIndex, table: &UpdateTable) -> bool {
         let Some(index) = self.grid.limits.flat_index(cell) else { return false };
         let changed = self.grid.apply_at(index, table);

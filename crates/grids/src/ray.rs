@@ -1,4 +1,4 @@
-//! Which cells a ray passes, in exact integer arithmetic.
+//! Enumerates the cells that a ray passes, in exact integer arithmetic.
 
 /// Calls `visit(column, row)` for every cell met by the segment that joins the *centres* of two
 /// subpixels.
@@ -8,7 +8,8 @@
 /// one column), whichever end is given first, each once. Where the ray passes exactly through a corner
 /// it steps diagonally.
 ///
-/// In one function, because the two directions of rows share all of its state, and it is the innermost loop of drawing.
+/// In one function, because the two directions of rows share all of its state, and it is the innermost loop
+/// of inserting scans.
 pub fn for_each_cell_on_ray(begin: [i64; 2], end: [i64; 2], scale: i64, mut visit: impl FnMut(i64, i64)) {
     let (begin, end) = if begin[0] > end[0] { (end, begin) } else { (begin, end) };
     let (mut column, last_column) = (begin[0] / scale, end[0] / scale);

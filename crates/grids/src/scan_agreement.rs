@@ -1,4 +1,4 @@
-//! What a grid says to a scan at a pose: which beams it explains, and which it contradicts.
+//! Compares a scan at a pose with a grid: which beams it explains, and which it contradicts.
 
 use nalgebra::Vector2;
 use portolan_geometry::{Point3f, Rigid2};
@@ -6,19 +6,20 @@ use portolan_sensor::PointCloud;
 
 use super::{CellIndex, FREE_CELL, Grid2d, ProbabilityGrid, SOLID_CELL};
 
-/// A beam passes what is solid only if it goes on for so many cells behind it: walls are thick and rough.
+/// Number of cells that a beam has to go on behind occupied cells to count as passing through them: walls are
+/// thick and rough.
 const BEHIND: f64 = 4.0;
-/// And only if so many of its cells are solid: a beam along a wall touches some.
+/// Minimum number of occupied cells that it passes: a beam along a wall touches some.
 const MIN_SOLID_CELLS: u32 = 2;
 
-/// How the beams of a scan agree with a grid. Shares of all beams; what is missing to 1 is not known.
+/// Agreement of the beams of a scan with a grid. Fractions of all beams; the rest to 1 is unknown.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ScanAgreement {
-    /// Beams that end at something solid.
+    /// Beams that end at an occupied cell.
     pub explained: f32,
-    /// Beams that end where it is known to be free.
+    /// Beams that end in a cell known to be free.
     pub in_free_space: f32,
-    /// Beams that pass through something solid.
+    /// Beams that pass through occupied cells.
     pub through_solid: f32,
 }
 
@@ -28,7 +29,7 @@ impl ScanAgreement {
         self.in_free_space + self.through_solid
     }
 
-    /// Fraction of what is contradicted in all that the grid knows.
+    /// Contradicted beams as a fraction of all beams that the grid knows.
     pub fn contradiction(&self) -> f32 {
         let contradicted = self.contradicted();
         let known = self.explained + contradicted;
@@ -53,22 +54,22 @@ impl FromIterator<BeamEnd> for ScanAgreement {
     }
 }
 
-/// What a map says to one beam.
+/// Agreement of a map with one beam.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BeamEnd {
-    /// It ends at something solid.
+    /// It ends at an occupied cell.
     AtSolid,
-    /// It ends where it is known to be free.
+    /// It ends in a cell known to be free.
     InFree,
-    /// It passes through something solid.
+    /// It passes through occupied cells.
     BehindSolid,
     /// The map does not know where it ends.
     Unknown,
 }
 
-/// Each point of a scan, in its own frame, with what a grid of probabilities says to its beam. `points` are metres in the frame
-/// of the scanner, whose pose in the frame of the grid is `grid_from_scan`. None of distance fields, and points at the
-/// scanner itself are left out.
+/// Each point of a scan, in its own frame, with the agreement of its beam with a grid of probabilities.
+/// `points` are metres in the frame of the scanner, whose pose in the frame of the grid is `grid_from_scan`.
+/// None for distance fields; points at the scanner itself are left out.
 pub fn beam_ends<'a>(
     grid: &'a Grid2d,
     grid_from_scan: &Rigid2,
@@ -108,8 +109,8 @@ fn beam_end(grid: &ProbabilityGrid, grid_from_scan: &Rigid2, point: &Point3f) ->
     })
 }
 
-/// Whether a beam ends where nothing is, and would go on for so many metres through what is known to be free. Arguments as of
-/// [`beam_ends`].
+/// Whether a beam ends in free space, and would go on for `metres` through cells known to be free. Arguments
+/// as for [`beam_ends`].
 pub fn ends_in_the_open(grid: &Grid2d, grid_from_scan: &Rigid2, point: &Point3f, metres: f64) -> bool {
     let Grid2d::Probability(grid) = grid else { return false };
     let resolution = grid.limits().resolution();
@@ -126,7 +127,7 @@ pub fn ends_in_the_open(grid: &Grid2d, grid_from_scan: &Rigid2, point: &Point3f,
         && (1..=(metres / resolution).ceil() as u32).all(|i| is_free(grid, on_beam(i)))
 }
 
-/// Whether a point, metres in the frame of the grid, is in something solid or beside it.
+/// Whether a point, metres in the frame of the grid, is in an occupied cell or beside one.
 pub fn is_at_solid(grid: &Grid2d, point: &Vector2<f64>) -> bool {
     let Grid2d::Probability(grid) = grid else { return false };
     is_cell_at_solid(grid, grid.limits().cell_index(point.cast::<f32>()))
@@ -153,8 +154,9 @@ pub fn scan_agreement(grid: &Grid2d, grid_from_scan: &Rigid2, points: &PointClou
     Some(ends.collect())
 }
 
-/// By how many standard errors the cells that a scan meets are more probable at the first of two poses than at the
-/// second: differences are paired, point by point, and weighed. None for distance fields and without points.
+/// Difference, in standard errors, between the probabilities of the cells at the points at the first of two
+/// poses and at the second. Differences are paired, point by point, and weighted. None for distance fields
+/// and without points.
 pub fn score_difference(
     grid: &Grid2d,
     grid_from_scan: [&Rigid2; 2],
@@ -175,7 +177,7 @@ pub fn score_difference(
     (!points.points.is_empty()).then(|| if squares > 0.0 { sum / squares.sqrt() } else { 0.0 })
 }
 
-/// Mean probability of the solid cells of a grid of probabilities; 1 for distance fields and without any.
+/// Mean probability of the occupied cells of a grid of probabilities; 1 for distance fields and without any.
 pub fn mean_of_solid_cells(grid: &Grid2d) -> f32 {
     let Grid2d::Probability(grid) = grid else { return 1.0 };
     let of_code = |code: &u16| 1.0 - grid.code().decode(*code, grid.code().upper());

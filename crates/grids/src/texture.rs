@@ -1,4 +1,4 @@
-//! How a submap looks: two bytes per pixel, as front ends know them.
+//! Draws submaps as images: two bytes per pixel, in the format of front ends.
 
 use portolan_geometry::Rigid3;
 

@@ -1,13 +1,13 @@
-//! From which probabilities on cells count as solid and as free.
+//! Thresholds of occupied ("solid") and free cells.
 
-/// Cells of 2D grids of a larger probability are solid.
+/// Probability above which cells of 2D grids are solid.
 pub const SOLID_CELL: f32 = 0.6;
 
-/// Known cells of 2D grids of a smaller probability are free.
+/// Probability below which known cells of 2D grids are free.
 pub const FREE_CELL: f32 = 0.4;
 
-/// In a 2D grid of signed distances cells nearer to a surface than so many cells are solid.
+/// Distance to the surface, in cells, below which cells of a 2D grid of signed distances are solid.
 pub const SURFACE_CELLS: f32 = 0.75;
 
-/// Cells of hybrid grids of a larger probability are solid.
+/// Probability above which cells of hybrid grids are solid.
 pub const SOLID_VOXEL: f32 = 0.55;

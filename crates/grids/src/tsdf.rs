@@ -5,8 +5,8 @@ use portolan_geometry::Vector2f;
 use super::value::{UNKNOWN_CELL, UPDATE_MARKER, ValueCode};
 use super::{CellBox, CellGrid, CellIndex, GridError, MapLimits};
 
-/// Signed distance to the nearest surface, positive in front of it and clamped to the truncation
-/// distance, with a weight that says how well it is known.
+/// Signed distance to the nearest surface, positive in front of it and clamped to the truncation distance,
+/// with a weight.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tsdf2d {
     /// Coded distances.
@@ -16,7 +16,7 @@ pub struct Tsdf2d {
 }
 
 impl Tsdf2d {
-    /// A field about which nothing is known.
+    /// A field of unknown cells.
     ///
     /// # Errors
     /// If truncation distance (metres) or maximum weight is not positive and finite.
@@ -31,7 +31,7 @@ impl Tsdf2d {
         Ok(Self { grid, weight_code: ValueCode::new(0.0, max_weight), weights })
     }
 
-    /// Where the field lies.
+    /// Position, resolution and size of the field.
     pub fn limits(&self) -> &MapLimits {
         &self.grid.limits
     }
@@ -51,7 +51,7 @@ impl Tsdf2d {
         self.grid.known_box
     }
 
-    /// How distances are coded.
+    /// Code of the distances.
     pub fn code(&self) -> &ValueCode {
         &self.grid.code
     }

@@ -4,11 +4,11 @@
 //! the scan being inserted has already changed. All arithmetic is `f32` in the order written, since
 //! files and other programs depend on every bit.
 
-/// Code of a cell nothing is known about.
+/// Code of an unknown cell.
 pub const UNKNOWN_CELL: u16 = 0;
 /// Set in cells that the current scan has changed; never in a finished grid or a file.
 pub const UPDATE_MARKER: u16 = 1 << 15;
-/// How many codes there are without the marker.
+/// Number of codes without the marker.
 pub const CODE_COUNT: usize = 1 << 15;
 
 /// Smallest probability of a hybrid grid.
@@ -56,7 +56,7 @@ impl ValueCode {
     /// The code 1…32767 nearest to `value`, which is clamped to the bounds first. Not-a-number becomes
     /// the lower bound.
     pub fn encode(&self, value: f32) -> u16 {
-        // `max` and `min` instead of `clamp`, for they turn not-a-number into a bound.
+        // `max` and `min` instead of `clamp`, because they map not-a-number to a bound.
         let clamped = value.max(self.lower).min(self.upper);
         ((clamped - self.lower) * self.codes_per_unit).round() as u16 + 1
     }
@@ -79,7 +79,7 @@ pub fn probability_from_odds(odds: f32) -> f32 {
     odds / (odds + 1.0)
 }
 
-/// For every code the code after one observation, with the update marker set.
+/// Update table: for every code the code after one observation, with the update marker set.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UpdateTable(Box<[u16; CODE_COUNT]>);
 

@@ -1,4 +1,4 @@
-//! Values of cells in 3D, of which few are known: what all hybrid grids share.
+//! Sparse map of the values of cells in 3D, the common base of all hybrid grids.
 //!
 //! Space is cut into blocks of 4×4×4 cells. A block with known cells has a leaf: one bit for each cell
 //! that is known and a list with only their values. A surface seen by a lidar takes 3 to 5 bytes per
@@ -28,11 +28,11 @@ const LEAF_EDGE: i32 = 4;
 #[repr(C, packed(4))]
 struct Leaf {
     mask: u64,
-    /// Where its values are, in the order of the bits.
+    /// Position of its values, in the order of the bits.
     start: u32,
 }
 
-/// From cells to values of type `T`. Cells never set have no value.
+/// Map from cells to values of type `T`. Cells never set have no value.
 #[derive(Clone)]
 pub struct VoxelMap<T> {
     index: DenseIndex,
@@ -102,7 +102,7 @@ impl<T: Copy + Default> VoxelMap<T> {
         }
     }
 
-    /// How many cells are known.
+    /// Number of known cells.
     pub fn num_cells(&self) -> usize {
         self.num_cells
     }
@@ -159,8 +159,8 @@ impl<T: Copy + Default> VoxelMap<T> {
         values
     }
 
-    /// The value of a cell to be changed; a cell not known so far becomes known with the default value. None for
-    /// cells that cannot be.
+    /// The value of a cell, to be changed; a cell not known so far becomes known with the default value. None
+    /// for impossible cells.
     #[inline]
     pub(crate) fn entry(&mut self, cell: VoxelIndex) -> Option<&mut T> {
         if !is_possible(cell) {
@@ -226,14 +226,14 @@ impl<T: Copy + Default> VoxelMap<T> {
         Some(number)
     }
 
-    /// Hands on every known cell in the order of memory, which is the same for the same history.
+    /// Visits every known cell in the order of memory, which is the same for the same history.
     pub fn for_each(&self, mut visit: impl FnMut(VoxelIndex, T)) {
         for (key, number) in self.index.iter() {
             self.for_each_in_leaf(first_cell(key), self.leaves[number], &mut visit);
         }
     }
 
-    /// Hands on the known cells of the box from `first` to `last`.
+    /// Visits the known cells of the box from `first` to `last`.
     pub fn for_each_in_box(&self, first: VoxelIndex, last: VoxelIndex, mut visit: impl FnMut(VoxelIndex, T)) {
         let bounds = [0, 1, 2].map(|a| {
             let possible = |i: i32| i.clamp(-MAX_VOXEL_INDEX, MAX_VOXEL_INDEX - 1);
@@ -256,7 +256,7 @@ impl<T: Copy + Default> VoxelMap<T> {
         }
     }
 
-    /// Hands on the known cells of the leaf of the block that starts at `first`.
+    /// Visits the known cells of the leaf of the block that starts at `first`.
     #[inline]
     fn for_each_in_leaf(&self, first: VoxelIndex, leaf: Leaf, mut visit: impl FnMut(VoxelIndex, T)) {
         let mask = leaf.mask;
@@ -273,7 +273,7 @@ impl<T: Copy + Default> VoxelMap<T> {
         leaves
     }
 
-    /// Hands on every known cell in the order of map files (`formats.md` §4.6).
+    /// Visits every known cell in the order of map files (`formats.md` §4.6).
     pub(crate) fn for_each_in_file_order(&self, mut visit: impl FnMut(VoxelIndex, T)) {
         let leaves = self.sorted_leaves();
         let cube = |key: u64| file_order(key) >> 3;

@@ -1,15 +1,15 @@
-//! Sorting by the voxels that things are in.
+//! Sorts numbers by the voxels that they belong to.
 
 /// Bits along each axis in a number of a voxel.
 const AXIS_BITS: u32 = 12;
 const AXES: u32 = 3;
-/// So many bits of voxels are sorted by at a time: so many beginnings fit the nearest memory.
+/// Number of bits by which voxels are sorted at a time: the counters fit the nearest cache.
 const DIGIT_BITS: u32 = 11;
 const DIGITS: usize = (AXES * AXIS_BITS).div_ceil(DIGIT_BITS) as usize;
 
-/// Sorts numbers whose bits from `shift` on are a voxel, 12 bits along each of three axes. Those of one voxel keep
-/// their order. (By counting: voxels lie close to each other, so that those in the box around all of them are told by
-/// about half of the bits.)
+/// Sorts numbers whose bits from `shift` on are a voxel, 12 bits along each of three axes. Those of one voxel
+/// keep their order. (By counting: voxels are close to each other, so that about half of the bits identify
+/// those in the box around all of them.)
 pub(crate) fn sort_by_voxel(numbers: &mut Vec<u64>, shift: u32) {
     let bounds = Bounds::around(numbers, shift);
     let digits = bounds.bits().div_ceil(DIGIT_BITS) as usize;
@@ -41,7 +41,7 @@ fn digit_of(place: u64, digit: usize) -> usize {
 struct Bounds {
     shift: u32,
     first: [u64; AXES as usize],
-    /// How many voxels it is long along each axis.
+    /// Number of voxels along each axis.
     sizes: [u64; AXES as usize],
 }
 
@@ -62,7 +62,7 @@ impl Bounds {
         u64::BITS - self.sizes.iter().product::<u64>().leading_zeros()
     }
 
-    /// The voxel counted through the box, along the first axis first.
+    /// Index of the voxel in the box, along the first axis first.
     #[inline]
     fn place(&self, number: u64) -> u64 {
         let [x, y, z] = indices(number, self.shift);

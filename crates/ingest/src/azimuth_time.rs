@@ -1,9 +1,10 @@
-//! Times of points that have none, from their directions.
+//! Assigns times to points that have none, from their azimuth.
 //!
-//! A spinning lidar measures its points in the order of their azimuth, so the fraction of the turn that
-//! has passed tells when. Where sweeps begin and in which sense the head spins follows from how sweeps fit together while the
-//! lidar moves ([`Skew`](crate::Skew)). As long as that is not known a sweep is taken to begin at the first point, and
-//! the head to turn the way in which most neighbouring points follow each other. Sweeps begin or end at the stamp.
+//! A spinning lidar measures its points in the order of their azimuth, so the fraction of the turn that has
+//! passed gives the time. Where sweeps begin and in which sense the head spins follows from how sweeps fit
+//! together while the lidar moves ([`Skew`](crate::Skew)). As long as that is unknown, a sweep is taken to
+//! begin at its first point, and the head to turn in the direction in which most neighbouring points follow
+//! each other. Sweeps begin or end at the stamp.
 
 use std::f32::consts::{PI, TAU};
 
@@ -14,9 +15,9 @@ use crate::timed_points::TimedPoints;
 /// Whether points without times get them from their azimuth, and what the stamp of a cloud means then.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub enum AzimuthTimes {
-    /// They do where the lidar spins and motion was not taken out of its clouds already, as far as the first
-    /// clouds show; when in the turn the stamp is follows from the time of recording. Times that points have are used
-    /// unless motion was taken out.
+    /// They do if the lidar spins and the first clouds do not show them to be de-skewed already; where in the
+    /// turn the stamp is follows from the time of recording. Times that points have are used unless the
+    /// clouds are de-skewed.
     #[default]
     Auto,
     /// Points have the times that were recorded with them, whatever the clouds show.
@@ -32,10 +33,10 @@ pub enum AzimuthTimes {
 }
 
 impl AzimuthTimes {
-    /// What the stamps of clouds mean that are recorded `lag` after them, turn after turn of so many seconds: nothing
-    /// can be recorded before it was measured.
+    /// Meaning of the stamps of clouds that are recorded `lag` after them, for turns of `turn` seconds: no
+    /// cloud is recorded before it was measured.
     pub(super) fn of_stamps(lag: Option<Duration>, turn: f64) -> Self {
-        // Beyond a second clocks differ, and nothing is known.
+        // Beyond a second the two clocks differ, and the lag says nothing.
         let lag = lag.map(|lag| lag.seconds()).filter(|lag| (0.0..1.0 + turn).contains(lag));
         match lag.map(|lag| lag / turn) {
             Some(turns) if turns >= 0.9 => Self::FromStamp,
@@ -44,8 +45,9 @@ impl AzimuthTimes {
         }
     }
 
-    /// What stamps mean if the first point of a turn of so many seconds is measured so many seconds after them; none if neither its
-    /// beginning, its middle nor its end is near.
+    /// Meaning of the stamps if the first point of a turn is measured `after_stamp` seconds after them, for
+    /// turns of `turn` seconds. None if neither the beginning, the middle nor the end of the turn is near the
+    /// stamp.
     pub(super) fn of_begin(after_stamp: f64, turn: f64) -> Option<Self> {
         let kinds = [Self::FromStamp, Self::AroundStamp, Self::UntilStamp];
         let off = |kind: &Self| (after_stamp / turn + f64::from(kind.share_at_stamp())).abs();
@@ -78,17 +80,18 @@ pub struct Turn {
     pub begin_radians: f32,
     /// Whether the head turns clockwise, seen from above.
     pub is_clockwise: bool,
-    /// How long a turn takes, in intervals between clouds: 1, or less where clouds are missing again and again.
+    /// Duration of a turn, in intervals between clouds: 1, or less where clouds are missing regularly.
     pub in_intervals: f64,
 }
 
-/// Neighbouring points farther apart than this are of other beams, radians.
+/// Azimuth difference above which neighbouring points belong to different beams, radians.
 const SAME_TURN: f32 = 0.1;
-/// A known beginning is known to this, radians; the first point is where sweeps begin if it is as near.
+/// Accuracy of an estimated beginning, radians; if the first point is within it, sweeps begin at the first
+/// point.
 const BEGIN_TOLERANCE: f32 = 0.09;
 
-/// Points of the first turn this near to its beginning may lie before it, because beams of one firing have
-/// different azimuths (share of the turn and of the points).
+/// Points of the first turn this near to its beginning may be before it, because beams of one firing have
+/// different azimuths (fraction of the turn and of the points).
 const EDGE: f32 = 0.03;
 
 /// A turn whose points get times.
@@ -97,11 +100,11 @@ pub(crate) struct TimedTurn {
     pub stamp: Time,
     pub seconds: f64,
     pub meaning: AzimuthTimes,
-    /// As far as it is known.
+    /// Begin and direction of the turn, if known.
     pub turn: Option<Turn>,
 }
 
-/// Gives points times within a sweep. They must stand as they came, all with the same time.
+/// Gives points times within a sweep. The points must be in their original order and have equal times.
 pub(crate) fn assign(points: &mut TimedPoints, timed: &TimedTurn) {
     let TimedTurn { stamp, seconds, meaning, turn } = *timed;
     let Some(first) = points.points.first() else { return };
@@ -110,7 +113,7 @@ pub(crate) fn assign(points: &mut TimedPoints, timed: &TimedTurn) {
     let begin = turn.filter(|_| !begins_at_first).map_or(of_first, |t| t.begin_radians);
     let by_order = || sense_of_turn(points.points.iter().map(|p| &p.position));
     let sign = turn.map_or_else(by_order, |t| if t.is_clockwise { -1.0 } else { 1.0 });
-    // Where points stand beam by beam, the first ones are of all azimuths.
+    // In clouds that are ordered beam by beam, the first points are at all azimuths.
     let has_edge = begins_at_first && is_in_firing_order(points.points.iter().map(|p| &p.position));
     let early = if has_edge { (points.points.len() as f32 * EDGE) as usize } else { 0 };
     let at_stamp = meaning.share_at_stamp();
@@ -132,7 +135,8 @@ fn wrapped(angle: f32) -> f32 {
     (angle + PI).rem_euclid(TAU) - PI
 }
 
-/// The way in which azimuths of neighbouring points go most often: 1 counter-clockwise, −1 clockwise.
+/// Direction in which the azimuths of neighbouring points change most often: 1 counter-clockwise, −1
+/// clockwise.
 fn sense_of_turn<'a>(points: impl Iterator<Item = &'a Point3f>) -> f32 {
     let (mut forward, mut last) = (0_i64, None);
     for azimuth in points.map(azimuth) {
@@ -145,13 +149,14 @@ fn sense_of_turn<'a>(points: impl Iterator<Item = &'a Point3f>) -> f32 {
     if forward >= 0 { 1.0 } else { -1.0 }
 }
 
-/// Parts of a cloud, and how much alike the azimuths in each must be (mean resultant length) if the points stand in the order in which
-/// they were measured.
+/// Number of parts of a cloud in the test of its order.
 const BLOCKS: usize = 8;
+/// Concentration of the azimuths in each part (mean resultant length) above which the points are in the order
+/// of measurement.
 const ALIKE: f32 = 0.8;
 
-/// Whether the points of a turn stand in the order of their azimuth, all beams of one firing together: then the first one is where the
-/// turn begins. Many drivers write one beam after the other, from an azimuth of their own.
+/// Whether the points of a turn are in the order of their azimuth, all beams of one firing together: then the
+/// turn begins at the first point. Many drivers write one beam after the other, from an azimuth of their own.
 pub(crate) fn is_in_firing_order<'a>(points: impl ExactSizeIterator<Item = &'a Point3f>) -> bool {
     let of_block = points.len().div_ceil(BLOCKS).max(1);
     let mut blocks = [(0.0_f32, 0.0_f32, 0.0_f32); BLOCKS];
@@ -161,7 +166,7 @@ pub(crate) fn is_in_firing_order<'a>(points: impl ExactSizeIterator<Item = &'a P
         }
     }
     let alike = blocks.iter().map(|(count, c, s)| f32::hypot(*c, *s) / count.max(1.0));
-    // NaN, where points have no azimuth, says no.
+    // NaN, where points have no azimuth, gives false.
     alike.sum::<f32>() / BLOCKS as f32 > ALIKE
 }
 

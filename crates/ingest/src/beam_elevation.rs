@@ -1,56 +1,56 @@
-//! The error that the elevations of all beams of a lidar share.
+//! An elevation error that is common to all beams of a lidar.
 //!
-//! The calibration of a spinning lidar says how high each beam points. Where all of them point higher or lower by the same
-//! angle, flat ground becomes a shallow cone around the lidar, and every sweep that is registered to those before pitches a
-//! little: a straight drive bends up or down. KITTI's HDL-64 has such an error of 0.2° (Deschaud, "IMLS-SLAM: Scan-to-Model
-//! Matching Based on 3D Data", 2018, section IV).
+//! The calibration of a spinning lidar gives the elevation of each beam. If all of them are off by the same
+//! angle, flat ground becomes a shallow cone around the lidar, and every sweep that is registered to those
+//! before pitches a little: a straight drive bends up or down. KITTI's HDL-64 has such an error of 0.2°
+//! (Deschaud, "IMLS-SLAM: Scan-to-Model Matching Based on 3D Data", 2018, section IV).
 
 use portolan_geometry::{Point3f, Vector3};
 
-/// Larger ones are no error of a calibration, radians.
+/// Largest angle that can be a calibration error, radians.
 const LARGEST: f64 = 0.017;
-/// What an estimate may be off by beside its standard deviation, as sparse rings are taken for one surface, radians: half
-/// of what it is off by in a simulated hall with sixteen beams.
+/// Systematic error of an estimate beside its standard deviation, as sparse rings are taken for one surface,
+/// radians: half of the error in a simulated hall with sixteen beams.
 const SYSTEMATIC: f64 = 8e-4;
-/// An error counts beyond so many standard deviations, each of them the random and the systematic one together: twice the
-/// latter is all that was seen of it.
+/// Number of standard deviations above which an offset counts, each of them the random and the systematic one
+/// together: twice the latter is the largest systematic error that was seen.
 const SIGNIFICANT: f64 = 2.0;
-/// If it may be as large as KITTI's, more sweeps are looked at, radians.
+/// Offset about as large as KITTI's, radians: as long as it is possible, more sweeps are evaluated.
 const WORTHWHILE: f64 = 3.5e-3;
-/// ... unless even all of them would not be enough: its standard deviation then, radians.
+/// Standard deviation above which not even all sweeps would suffice, radians: the search then ends.
 const HOPELESS: f64 = 2.1e-3;
 
-/// How beams are raised.
+/// Choice of the angle by which beams are raised.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum BeamElevation {
-    /// By what motion shows, if that is clear.
+    /// The angle estimated from motion, if it is clear.
     #[default]
     Auto,
-    /// By this angle, radians.
+    /// This angle, radians.
     Fixed(f64),
 }
 
-/// What motion shows of the elevations of beams.
+/// Elevation offset of the beams, estimated from motion.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct ElevationOffset {
-    /// To be added to all of them, radians.
+    /// Angle to be added to all elevations, radians.
     pub radians: f64,
     /// Its standard deviation.
     pub sigma: f64,
 }
 
 impl ElevationOffset {
-    /// Standard deviation with what is not in it.
+    /// Standard deviation including the systematic error.
     pub fn uncertainty(&self) -> f64 {
         self.sigma.hypot(SYSTEMATIC)
     }
 
-    /// Whether more sweeps may show that it is there.
+    /// Whether more sweeps may show a significant offset.
     pub(crate) fn may_be_there(&self) -> bool {
         self.sigma < HOPELESS && self.radians.abs() + SIGNIFICANT * self.sigma > WORTHWHILE
     }
 
-    /// Whether it is there, and an error of a calibration.
+    /// Whether the offset is significant, and small enough for a calibration error.
     pub fn is_clear(&self) -> bool {
         self.radians.abs() < LARGEST && self.radians.abs() > SIGNIFICANT * (self.sigma + SYSTEMATIC)
     }
@@ -68,7 +68,7 @@ impl Raise {
         Self { sine: radians.sin() as f32, cosine: radians.cos() as f32 }
     }
 
-    /// A point, raised. Straight up there is no elevation to change.
+    /// Raises a point. Straight up there is no elevation to change.
     pub fn point(&self, point: &Point3f) -> Point3f {
         let level = point.x.hypot(point.y);
         if level < 1e-6 {
@@ -79,7 +79,7 @@ impl Raise {
     }
 }
 
-/// What a point moves by for each radian that its beam is raised.
+/// Displacement of a point for each radian that its beam is raised.
 pub(crate) fn by_elevation(point: &Vector3) -> Vector3 {
     let level = point.x.hypot(point.y).max(1e-6);
     Vector3::new(-point.x / level * point.z, -point.y / level * point.z, level)

@@ -1,28 +1,30 @@
-//! Readings of a noisy scanner, each replaced by the line through its neighbours.
+//! Smooths the readings of a noisy scanner: each is replaced by the line through its neighbours.
 //!
-//! Grids, matching and what is judged by them expect walls thinner than a cell. Where readings scatter more, neighbours that see
-//! the same wall are averaged until they do not: a robust local regression in polar coordinates (Cleveland, "Robust locally
-//! weighted regression and smoothing scatterplots", JASA 74, 1979), with as many neighbours as the noise asks for. Edges stay:
-//! what differs by more than the noise explains is another surface.
+//! Grids, matching and the criteria that use them expect walls thinner than a cell. Where readings scatter
+//! more, each is averaged with its neighbours on the same wall until the scatter is small enough: a robust
+//! local regression in polar coordinates (Cleveland, "Robust locally weighted regression and smoothing
+//! scatterplots", JASA 74, 1979), with the number of neighbours that the noise requires. Edges stay: a
+//! reading that differs by more than the noise explains is on another surface.
 
 use crate::polar_line::{LineSums, PolarLine};
 
-/// Readings may scatter so much, metres: less than half a cell of grids.
+/// Wanted scatter of the readings, metres: less than half a cell of grids.
 const WANTED: f64 = 0.02;
-/// So many neighbours on either side at most, …
+/// Maximum number of neighbours on either side.
 const MOST_NEIGHBOURS: usize = 12;
-/// … not farther away along the arc than this, metres: walls are straight for so long.
+/// Maximum distance of a neighbour along the arc, metres, over which walls are assumed straight.
 const REACH: f64 = 0.6;
-/// A reading is of the same surface if it differs from its line by so many standard deviations at most, …
+/// Maximum deviation of a reading from the line of its surface, standard deviations.
 const SAME: f64 = 3.0;
-/// … and, before a line is known, from its neighbour by this much more for each metre of arc: walls seen as obliquely as 56°.
+/// Additional deviation from the neighbour that is allowed before a line is known, metres for each metre of
+/// arc: walls seen as obliquely as 56°.
 const SLOPE: f64 = 1.5;
-/// Lines are fitted so many times, each time to what agrees with the one before.
+/// Number of line fits, each to the readings that agree with the line before.
 const ROUNDS: usize = 4;
-/// So many readings determine a line and confirm it.
+/// Minimum number of readings that determine a line and confirm it.
 const LEAST_READINGS: usize = 3;
 
-/// How readings are smoothed.
+/// Smoothing of readings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BeamSmoothing {
     /// Standard deviation of the readings, metres.
@@ -32,14 +34,15 @@ pub struct BeamSmoothing {
 }
 
 impl BeamSmoothing {
-    /// For readings with this standard deviation, metres; none if they are as good as they are wanted.
+    /// Smoothing for readings with this standard deviation, metres; none if they are precise enough.
     pub fn of(sigma: f64) -> Option<Self> {
         let beams = (sigma / WANTED).powi(2);
         let neighbours = (((beams - 1.0) / 2.0).round().max(0.0) as usize).min(MOST_NEIGHBOURS);
         (sigma.is_finite() && neighbours > 0).then_some(Self { sigma, neighbours })
     }
 
-    /// The readings of beams that are `increment` radians apart, smoothed where they lie within `limits`, metres.
+    /// Returns the readings of beams that are `increment` radians apart, smoothed where they are within
+    /// `limits`, metres.
     pub fn smoothed(&self, ranges: &[f32], increment: f32, limits: [f32; 2]) -> Vec<f32> {
         let window = Window { of: *self, ranges, increment: f64::from(increment), limits };
         ranges.iter().enumerate().map(|(i, range)| window.smoothed(i).unwrap_or(*range)).collect()
@@ -55,7 +58,7 @@ struct Window<'a> {
 }
 
 impl Window<'_> {
-    /// The range of a beam, metres; none where it saw nothing.
+    /// The range of a beam, metres; none without a return.
     fn range(&self, i: usize) -> Option<f64> {
         let [least, most] = self.limits;
         self.ranges.get(i).filter(|r| least <= **r && **r <= most && **r > 0.0).map(|r| f64::from(*r))
@@ -74,7 +77,7 @@ impl Window<'_> {
         (readings >= LEAST_READINGS && is_same).then_some(smooth as f32)
     }
 
-    /// Of the neighbours that agree with a line, or, before one is known, with the reading itself.
+    /// Sums over the neighbours that agree with a line, or, before one is known, with the reading itself.
     fn sums(&self, i: usize, range: f64, line: Option<PolarLine>) -> LineSums {
         let reach = self.of.neighbours.min((REACH / (range * self.increment.abs())) as usize);
         let mut sums = LineSums::default();

@@ -1,12 +1,12 @@
-//! The stamps of one sensor: unset, repeated, backward and jumping ones.
+//! Checks the stamps of one sensor: unset, repeated, backward and jumping ones.
 
 use portolan_geometry::{Duration, Time};
 
-/// A stamp this far from where the recording's own clock puts it is a jump.
+/// Difference between a stamp and its time by the recording's own clock above which it is a jump.
 const JUMP: Duration = Duration::from_ticks(10 * 10_000_000);
-/// Jumps agree if they are this near to each other.
+/// Difference within which two jumps agree.
 const AGREEMENT: Duration = Duration::from_ticks(10_000_000);
-/// So many messages in a row with the same jump mean that the clock was set.
+/// Number of messages in a row with the same jump after which the clock counts as set.
 const JUMPS_OF_A_SET_CLOCK: u32 = 3;
 
 /// What to do with a message.
@@ -22,7 +22,7 @@ pub(crate) enum Stamp {
     Jump,
 }
 
-/// Follows the stamps of one sensor against the times of recording.
+/// Compares the stamps of one sensor with the times of recording.
 #[derive(Clone, Debug)]
 pub(crate) struct SensorClock {
     /// Added to every stamp.
@@ -36,13 +36,13 @@ pub(crate) struct SensorClock {
 }
 
 impl SensorClock {
-    /// `shift` is added to stamps; `usual_lag` is the time of recording minus the shifted stamp, as
-    /// far as known beforehand. Stamps of zero count as unset where that is not their usual lag.
+    /// `shift` is added to stamps; `usual_lag` is the time of recording minus the shifted stamp, if known
+    /// beforehand. Stamps of zero count as unset where that is not their usual lag.
     pub fn new(shift: Duration, usual_lag: Option<Duration>) -> Self {
         Self { shift, lag: usual_lag, last: None, jump: None }
     }
 
-    /// Judges the next stamp.
+    /// Checks the next stamp.
     pub fn judge(&mut self, stamp: Time, log_time: Time) -> Stamp {
         let is_zero = stamp == Time::UNIX_EPOCH;
         let stamp = stamp + self.shift;
@@ -96,7 +96,7 @@ pub(crate) enum Order {
 }
 
 impl Ascending {
-    /// Whether `time` comes after all before it; then it becomes the one to beat.
+    /// Compares `time` with the latest time so far; a later one becomes the latest.
     pub fn check(&mut self, time: Time) -> Order {
         match self.0 {
             Some(last) if time < last => Order::Backward,

@@ -1,4 +1,4 @@
-//! One message becomes one or more measurements in the tracking frame (`spec/slam2d.md` §1).
+//! Converts a message to one or more measurements in the tracking frame (`spec/slam2d.md` §1).
 
 use portolan_geometry::{
     GeodeticPosition, Quaternion, Rigid3, Time, Vector3, nalgebra, pose_from_xyz_quaternion, to_f32,
@@ -32,7 +32,7 @@ impl Frames<'_> {
     }
 }
 
-/// Points moved into the tracking frame, with the place of their sensor.
+/// Points transformed into the tracking frame, with the origin of their sensor.
 pub(crate) fn range_data(points: TimedPoints, tracking_from_sensor: &Rigid3) -> TimedPointCloudData {
     let TimedPoints { time, mut points, intensities } = points;
     let tracking_from_sensor = to_f32(tracking_from_sensor);
@@ -45,8 +45,8 @@ pub(crate) fn range_data(points: TimedPoints, tracking_from_sensor: &Rigid3) -> 
     TimedPointCloudData { time, origin_in_tracking, points_in_tracking: points, intensities }
 }
 
-/// A pose as it stands in a message, and whether its quaternion had to be normalised. A quaternion is
-/// taken for one of a wrong length if that is between ½ and 2.
+/// The pose of a message, and whether its quaternion had to be normalised. A quaternion with a norm between ½
+/// and 2 is normalised.
 pub fn pose_of(pose: &Pose) -> Option<(Rigid3, bool)> {
     if let Some(valid) = pose_from_xyz_quaternion(pose.position, pose.orientation_xyzw) {
         return Some((valid, false));
@@ -65,16 +65,16 @@ pub(crate) fn odometry(time: Time, odom_from_child: Rigid3, tracking_from_child:
     OdometryData { time, odom_from_tracking: odom_from_child * tracking_from_child.inverse() }
 }
 
-/// Why an IMU sample cannot be used.
+/// Reasons why an IMU sample cannot be used.
 pub(crate) enum ImuFault {
     NotFinite,
     Impossible,
     Partial,
 }
 
-/// Twice what common gyroscopes can measure, rad/s; single samples beyond are faults of the transmission.
+/// Twice the range of common gyroscopes, rad/s; single samples beyond are transmission errors.
 pub const MAX_ANGULAR_VELOCITY: f64 = 80.0;
-/// Twice and a half what common accelerometers can measure (16 g), m/s².
+/// Two and a half times the range of common accelerometers (16 g), m/s².
 pub const MAX_ACCELERATION: f64 = 400.0;
 
 /// An IMU sample rotated into the tracking frame.
@@ -110,19 +110,20 @@ pub(crate) struct LocalFixes {
     newest: Option<SatelliteFix>,
 }
 
-/// A satellite fix, and how well it is known.
+/// A satellite fix and its accuracy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SatelliteFix {
     /// Its time.
     pub time: Time,
-    /// Where the antenna was.
+    /// Position of the antenna.
     pub place: GeodeticPosition,
-    /// Standard deviation along the worst horizontal direction, metres; none if the receiver does not say.
+    /// Standard deviation along the worst horizontal direction, metres; none if the receiver does not report
+    /// it.
     pub horizontal_sigma: Option<f64>,
 }
 
-/// The standard deviation of a fix along the worst horizontal direction. Receivers that know nothing say 0, or that the type
-/// of their covariance is unknown.
+/// Standard deviation of a fix along the worst horizontal direction. Receivers without an estimate report 0,
+/// or a covariance of unknown type.
 fn horizontal_sigma(message: &NavSatFix) -> Option<f64> {
     let [ee, en, _, ne, nn, ..] = message.position_covariance;
     let (mean, half, cross) = (0.5 * (ee + nn), 0.5 * (ee - nn), 0.5 * (en + ne));
@@ -133,7 +134,7 @@ fn horizontal_sigma(message: &NavSatFix) -> Option<f64> {
 impl LocalFixes {
     /// The pose of a fix; a message without a fix has none. `None` for a place that is not on Earth.
     pub fn convert(&mut self, time: Time, message: &NavSatFix) -> Option<FixedFramePoseData> {
-        // Receivers without a fix say so, or that they are where the equator crosses the first meridian.
+        // Receivers without a fix report that, or zero latitude and longitude.
         let is_nowhere = message.latitude_degrees == 0.0 && message.longitude_degrees == 0.0;
         if message.status < 0 || is_nowhere {
             return Some(FixedFramePoseData { time, fixed_from_tracking: None });
@@ -158,14 +159,14 @@ impl LocalFixes {
         self.newest
     }
 
-    /// The place of the first fix.
+    /// The position of the first fix.
     pub fn origin(&self) -> Option<GeodeticPosition> {
         self.origin.map(|(place, _)| place)
     }
 }
 
-/// Landmarks in the tracking frame, and how many had an invalid pose or weight. Without a transform they
-/// stay as they are.
+/// Landmarks in the tracking frame, and how many had an invalid pose or weight. Without a transform they stay
+/// unchanged.
 pub(crate) fn landmarks(
     time: Time,
     message: &LandmarkList,

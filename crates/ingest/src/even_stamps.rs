@@ -1,11 +1,11 @@
-//! Stamps that say when a message was handed on instead of when it was measured.
+//! Corrects stamps that give the time when a message was handed on instead of when it was measured.
 //!
 //! A scanner measures at a steady rate. A busy computer between it and the recording stamps several of its
-//! messages in one go, after some time of nothing, and may even mix up their stamps: the order of arrival
+//! messages at once, after some time without messages, and may even mix up their stamps: the order of arrival
 //! is right, the stamps are true times plus a delay that is never negative. The true time of message `k` is
-//! then at most `min over j >= k of (stamp_j - (j - k) * period)`, and close to that wherever one of the
-//! next messages came without delay (the lower envelope of Moon, Skelly and Towsley 1999 for clocks of
-//! networks, with the order of arrival as the device's own clock).
+//! then at most `min over j >= k of (stamp_j - (j - k) * period)`, and close to that wherever one of the next
+//! messages came without delay (the lower envelope of Moon, Skelly and Towsley 1999 for clocks of networks,
+//! with the order of arrival as the device's own clock).
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -16,25 +16,25 @@ use portolan_recording::{RecordedMessage, Recording, RecordingError, StampPatter
 use crate::repeats::read_without_repeats;
 use crate::steady_clock::{LOOK_AHEAD, StampJitter, SteadyClock, messages_ahead};
 
-/// How stamps of scanners and odometry are taken.
+/// Treatment of the stamps of scanners and odometry.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub enum StampPolicy {
-    /// As they are, unless they come in bursts, go back, surely jitter or make sweeps of a lidar overlap.
+    /// Unchanged, unless they come in bursts, go back, certainly jitter or make sweeps of a lidar overlap.
     #[default]
     Auto,
-    /// As they are.
+    /// Unchanged.
     AsIs,
-    /// Always as a steady rate and the order of arrival tell.
+    /// Always replaced by times from a steady rate and the order of arrival.
     Regular,
 }
 
-/// So many stamps of the recent past decide whether they are steady.
+/// Number of recent stamps from which it is decided whether they are steady.
 const WINDOW: usize = 200;
-/// Times are taken to be this much closer than the mean interval, since some messages are lost.
+/// Factor for the mean interval between messages, which is too long since some messages are lost.
 const FASTER_THAN_MEAN: f64 = 0.97;
 
-/// Seconds between messages for those of these topics whose first stamps, from a time of recording on, do not tell when it was
-/// measured: without a look ahead they would be believed until they are seen to be wrong.
+/// Seconds between messages for those of these topics whose first stamps, from a time of recording on, are
+/// not measurement times. Without this look ahead they would be trusted until they are seen to be wrong.
 pub(crate) fn doubtful_beginnings(
     recording: &dyn Recording,
     topics: &[Arc<str>],
@@ -60,10 +60,10 @@ pub(crate) fn doubtful_beginnings(
         .collect())
 }
 
-/// What is wrong with the stamps of a sensor.
+/// Fault of the stamps of a sensor.
 #[derive(Debug)]
 enum StampFault {
-    /// Nothing.
+    /// No fault.
     None,
     /// They come in bursts or go back; a period, seconds, that is a bit shorter than that of the messages.
     Bursts(f64),
@@ -71,7 +71,7 @@ enum StampFault {
     Jitter(SteadyClock),
 }
 
-/// Follows the stamps of one sensor and, while they do not tell when it was measured, makes them even.
+/// Follows the stamps of one sensor and makes them even while they are not measurement times.
 #[derive(Debug)]
 pub(crate) struct EvenStamps {
     policy: StampPolicy,
@@ -95,7 +95,7 @@ impl EvenStamps {
         }
     }
 
-    /// With stamps that are not believed from the beginning, if a period, seconds, is given.
+    /// With stamps that are not trusted from the beginning, if a period, seconds, is given.
     pub fn in_doubt(mut self, period: Option<f64>) -> Self {
         if self.policy != StampPolicy::AsIs {
             self.fault =
@@ -112,7 +112,8 @@ impl EvenStamps {
         self
     }
 
-    /// Takes the stamp of a message. False if it can be used as it is at once; else the message waits.
+    /// Takes the stamp of a message. Returns false if the message can be used with it at once; otherwise the
+    /// message waits.
     pub fn holds(&mut self, stamp: Time, message: &RecordedMessage) -> bool {
         if self.policy == StampPolicy::AsIs {
             return false;
@@ -134,13 +135,13 @@ impl EvenStamps {
         true
     }
 
-    /// Whether a message waits that came so long before this time of the recording that others, which are not held back, would
-    /// overtake it: its sensor has fallen silent.
+    /// Whether the first waiting message is older than the look-ahead at this time of the recording, so that
+    /// messages of other sensors, which are not held back, would overtake it: its sensor has stopped sending.
     pub fn has_waited_long(&self, now: Time) -> bool {
         self.waiting.front().is_some_and(|(_, message)| now.seconds_since(message.log_time) > LOOK_AHEAD)
     }
 
-    /// Once in doubt, stamps stay in doubt: good ones lie on the envelope and are not changed much.
+    /// Stamps once found faulty stay so: good ones are on the envelope and are hardly changed.
     fn judge(&mut self) {
         let Some(pattern) = StampPattern::of(self.recent.make_contiguous()) else { return };
         let is_regular = self.policy == StampPolicy::Regular;
@@ -153,7 +154,8 @@ impl EvenStamps {
         }
     }
 
-    /// The next message whose time is known when the recording has come so far, with the stamp that it came with and its time.
+    /// The next message whose time is determined at this time of the recording, with the stamp that it came
+    /// with and its time.
     pub fn pop(&mut self, now: Time) -> Option<(RecordedMessage, Time, Time)> {
         let period = match &self.fault {
             StampFault::None => return None,
@@ -162,7 +164,7 @@ impl EvenStamps {
         };
         let ahead = messages_ahead(period);
         let ((first, _), (newest, _)) = (self.waiting.front()?, self.waiting.back()?);
-        // Messages behind a gap tell nothing of those before it.
+        // Messages after a gap do not constrain the times of those before it.
         let is_old = newest.seconds_since(*first) > LOOK_AHEAD;
         if self.waiting.len() < ahead && !is_old && !self.has_waited_long(now) {
             return None;
@@ -181,7 +183,8 @@ impl EvenStamps {
     }
 }
 
-/// When the first of these messages was measured at the latest, if each of them was so many seconds after the one before.
+/// Upper bound for the measurement time of the first of these messages, with `period` seconds between
+/// measurements.
 fn latest_of_first(stamps: &[Time], period: f64) -> Option<Time> {
     let numbered = (0u32..).zip(stamps);
     numbered.map(|(later, stamp)| *stamp - Duration::from_seconds(f64::from(later) * period)).min()
@@ -205,7 +208,7 @@ mod tests {
         RecordedMessage { topic: Arc::from("/scan"), log_time: at(0.0), message }
     }
 
-    /// Times as they come out, for messages with these stamps.
+    /// Corrected times of messages with these stamps.
     fn even(stamps: &[Time], policy: StampPolicy) -> Vec<Time> {
         let mut even = EvenStamps::new(policy);
         let mut times = Vec::new();
@@ -219,7 +222,7 @@ mod tests {
         times
     }
 
-    /// A computer that hands on what has come by then now and then.
+    /// Stamps and true times of a computer that hands on its messages in bursts.
     fn in_bursts(count: u32, period: f64) -> (Vec<Time>, Vec<Time>) {
         let truth: Vec<f64> = (0..count).map(|k| f64::from(k) * period).collect();
         let stamps = truth.iter().enumerate().map(|(k, t)| {

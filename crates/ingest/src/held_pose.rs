@@ -1,8 +1,8 @@
-//! Odometry that repeats a pose while nothing new is measured.
+//! Detects odometry that repeats a pose without a new measurement.
 
 use portolan_geometry::{Rigid3, Time};
 
-/// Tells repeats of a pose from new ones.
+/// Distinguishes repeats of a pose from new ones.
 #[derive(Clone, Debug)]
 pub struct HeldPose {
     longest: f64,
@@ -10,12 +10,13 @@ pub struct HeldPose {
 }
 
 impl HeldPose {
-    /// For odometry that holds motions back for so many seconds at most. What repeats for longer stands.
+    /// `longest_hold`: maximum time for which odometry repeats a pose although the robot moves, seconds. If
+    /// it repeats for longer, the robot stands.
     pub fn new(longest_hold: f64) -> Self {
         Self { longest: longest_hold, last: None }
     }
 
-    /// Whether a pose at this time says nothing, since it repeats the one before to the last digit.
+    /// Whether a pose at this time holds no measurement, since it repeats the one before to the last digit.
     pub fn is_repeat(&mut self, time: Time, pose: &Rigid3) -> bool {
         let is_repeat = self.last.is_some_and(|(since, last)| {
             last == *pose && (0.0..self.longest).contains(&time.seconds_since(since))

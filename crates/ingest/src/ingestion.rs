@@ -1,4 +1,4 @@
-//! A recording as measurements in the tracking frame.
+//! Reads a recording as measurements in the tracking frame.
 
 mod messages;
 mod setup;
@@ -31,7 +31,7 @@ use crate::sweep_stamps::SweepStamps;
 use crate::tf::{TfError, TfInput};
 use crate::turn_clock::TurnClock;
 
-/// Why a recording cannot be turned into measurements.
+/// Reasons why a recording cannot be turned into measurements.
 #[derive(Debug, thiserror::Error)]
 pub enum IngestError {
     /// The recording cannot be read.
@@ -42,29 +42,29 @@ pub enum IngestError {
     Plan(#[from] PlanError),
 }
 
-/// What a topic is used for.
+/// Use of a topic.
 #[derive(Clone, Debug)]
 enum Role {
     Range {
         point_time: Option<PointTime>,
         by_azimuth: Option<TimesByAzimuth>,
-        /// Where points have times of their own that count from the stamp.
+        /// Set where points have times of their own that count from the stamp.
         sweep_stamps: Option<SweepStamps>,
         coordinates: Coordinates,
-        /// Seconds from the first beam of a laser scan to the last, where scans do not say it right.
+        /// Seconds from the first beam of a laser scan to the last, where the messages are wrong about it.
         scan_duration: Option<f64>,
-        /// Where readings are noisy.
+        /// Set where readings are noisy.
         smoothing: Option<BeamSmoothing>,
         directions: Box<BeamDirections>,
     },
     Imu {
         scale: ImuScale,
-        /// Turns what it measures in the tracking frame.
+        /// Rotates its measurements in the tracking frame.
         correction: Quaternion,
         stuck: StuckSample,
     },
     Odometry {
-        /// Where it is held back.
+        /// Set where odometry repeats poses although the robot moves.
         held: Option<HeldPose>,
     },
     NavSat,
@@ -72,12 +72,12 @@ enum Role {
     Landmarks,
 }
 
-/// What becomes of the coordinates of clouds in the frame of their sensor.
+/// Conversion of the coordinates of clouds in the frame of their sensor.
 #[derive(Clone, Copy, Debug)]
 struct Coordinates {
     /// Metres in one of their units.
     length_unit: f32,
-    /// Raises the beams, if they point too high or too low.
+    /// Raises or lowers the beams, if their elevations are wrong.
     raise: Option<Raise>,
 }
 
@@ -86,12 +86,12 @@ struct Coordinates {
 struct TimesByAzimuth {
     meaning: AzimuthTimes,
     clock: TurnClock,
-    /// Whether stamps are used as they are.
+    /// Whether stamps are used unchanged.
     keeps_stamps: bool,
     turn: Option<Turn>,
 }
 
-/// A sensor while it is read.
+/// State of a sensor while the recording is read.
 struct Sensor {
     id: SensorId,
     topic: Arc<str>,
@@ -190,7 +190,7 @@ impl Ingestion {
         let mut issues = IssueLog::default();
         issues.merge(&inventory.issues);
         if !needs_tf {
-            // Otherwise they are read again and counted then.
+            // Otherwise they are read again and counted later.
             issues.merge(&inventory.moving_issues);
         }
         for range in plan.range.iter().filter(|range| range.times_in_doubt) {
@@ -224,7 +224,7 @@ impl Ingestion {
         &self.plan
     }
 
-    /// What the defaults of mapping depend on.
+    /// Properties of the sensors that the defaults of mapping depend on.
     pub fn statistics(&self) -> SensorStatistics {
         self.plan.statistics()
     }
@@ -283,12 +283,12 @@ impl Ingestion {
         issues.list()
     }
 
-    /// The newest satellite fix that was read, if it is of this time: that of the measurement that was just taken.
+    /// The newest satellite fix, if it has this time: the fix of the measurement that was just returned.
     pub fn satellite_fix(&self, time: Time) -> Option<SatelliteFix> {
         self.fixes.newest().filter(|fix| fix.time == time)
     }
 
-    /// Where the frame of satellite fixes begins: the first fix.
+    /// Origin of the frame of satellite fixes: the first fix.
     pub fn nav_sat_origin(&self) -> Option<GeodeticPosition> {
         self.fixes.origin()
     }
@@ -302,7 +302,7 @@ impl Ingestion {
             self.issues.add(jump);
         }
         self.take_waiting(message.log_time);
-        // Taken out while they are at work, because they write to the rest of the ingestion.
+        // Removed from the map meanwhile, because they write to the rest of the ingestion.
         let Some(mut sensors) = self.sensors.remove(&message.topic) else { return };
         for sensor in &mut sensors {
             self.take_message(sensor, &message);
@@ -310,7 +310,7 @@ impl Ingestion {
         self.sensors.insert(message.topic, sensors);
     }
 
-    /// Takes the messages that waited too long, when the recording has come so far, for later ones to tell their times.
+    /// Processes messages that have waited too long for later stamps, given the current time of recording.
     fn take_waiting(&mut self, now: Time) {
         if !self.sensors.values().flatten().any(|sensor| sensor.even_stamps.has_waited_long(now)) {
             return;
@@ -322,7 +322,7 @@ impl Ingestion {
         self.sensors = all;
     }
 
-    /// `tracking_from_frame`, or the message is counted as lost.
+    /// Returns `tracking_from_frame`; if it is unknown, counts the message as lost.
     fn tracking_from(&mut self, topic: &Arc<str>, frame: &str, time: Time) -> Option<Rigid3> {
         let frames = Frames { tree: &self.source.tree, tracking: &self.plan.tracking_frame };
         let issue = match frames.tracking_from(frame, time) {

@@ -7,29 +7,29 @@ use portolan_sensor::TimedPoint;
 use crate::beam_smoothing::BeamSmoothing;
 use crate::timed_points::TimedPoints;
 
-/// Readings beyond this are no distances, metres.
+/// Range above which a reading is not a distance, metres.
 const HUGE: f32 = 1e6;
-/// A scan takes no longer than this, seconds.
+/// Maximum duration of a scan, seconds.
 const LONGEST_SCAN: f32 = 10.0;
 
-/// What was wrong with the readings and limits of a scan, and what was done about it.
+/// Faults in the readings and limits of a scan, and how they were repaired.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ScanFaults {
-    /// Readings that are not a number: taken as nothing seen.
+    /// Readings that are not a number: taken as no return.
     pub nan_readings: u64,
-    /// Readings below zero (minus infinity, which says "too near", is none).
+    /// Readings below zero, except minus infinity, which means "too near".
     pub negative_readings: u64,
     /// Readings beyond 1,000 km that are not infinite.
     pub huge_readings: u64,
     /// `range_min > range_max`, or not numbers: the limits are not used.
     pub bad_limits: bool,
-    /// `angle_increment` is zero, not a number or points the other way than the limits.
+    /// `angle_increment` is zero, not a number or has the opposite sign of the span of the limits.
     pub bad_increment: bool,
     /// `time_increment` is negative, not a number or makes the scan longer than 10 s: taken as zero.
     pub bad_time_increment: bool,
 }
 
-/// What a laser scan and a multi-echo scan have in common.
+/// Fields that a laser scan and a multi-echo scan have in common.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ScanShape {
     pub angle_min: f32,
@@ -54,12 +54,12 @@ impl ScanShape {
         }
     }
 
-    /// As if the scan took so many seconds from its first beam to its last; less than zero if the last comes first.
+    /// Sets the duration from the first beam to the last, seconds; negative if the last beam comes first.
     fn take(&mut self, seconds: f64) {
         self.time_increment = (seconds / self.beams.saturating_sub(1).max(1) as f64) as f32;
     }
 
-    /// Makes the shape usable and says what was not.
+    /// Makes the shape usable and reports its faults.
     pub fn repair(&mut self) -> ScanFaults {
         let mut faults = ScanFaults::default();
         if !self.angle_min.is_finite() {
@@ -70,7 +70,7 @@ impl ScanShape {
             faults.bad_increment = true;
             self.angle_increment = if span.is_finite() { span / (self.beams - 1) as f32 } else { 0.0 };
         } else if self.beams > 1 && span.is_finite() && span * increment < 0.0 {
-            // Which of the two is wrong cannot be told; drivers compute with the increment.
+            // Which of the two is wrong is unknown; drivers compute with the increment.
             faults.bad_increment = true;
         }
         if self.range_min < 0.0 || self.range_min.is_nan() {
@@ -113,10 +113,10 @@ impl BeamDirections {
     }
 }
 
-/// The readings of a scan between its limits as points in the frame of the scanner; times of points
+/// Converts the readings of a scan within its limits to points in the frame of the scanner. Times of points
 /// count to the last of them, whose time is that of the result (`spec/slam2d.md` §1).
 ///
-/// `readings` gives range and intensity of each beam; a `duration` stands for what the scan says of its own.
+/// `readings` gives range and intensity of each beam; a `duration` replaces that of the scan.
 pub(crate) fn points_of_scan(
     stamp: Time,
     (mut shape, duration): (ScanShape, Option<f64>),
@@ -128,7 +128,8 @@ pub(crate) fn points_of_scan(
     if let Some(seconds) = duration {
         shape.take(seconds);
     }
-    // The stamp is the time of the beam that is measured first (sensor_msgs/LaserScan), which may be the last of the scan.
+    // The stamp is the time of the beam that is measured first (sensor_msgs/LaserScan), which may be the last
+    // of the scan.
     let of_first = (-shape.time_increment * shape.beams.saturating_sub(1) as f32).max(0.0);
     let directions = directions.of(&shape);
     let mut result = TimedPoints::with_capacity(shape.beams, with_intensities);
@@ -149,18 +150,18 @@ pub(crate) fn points_of_scan(
     (result, faults)
 }
 
-/// What is known of a scan better than it says itself.
+/// Corrections of a scan that are known better than from its message.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ScanCorrections {
-    /// Seconds from the first beam to the last, less than zero if the last comes first; none: as the scan says.
+    /// Seconds from the first beam to the last, negative if the last comes first; none: as in the message.
     pub duration: Option<f64>,
-    /// How noisy readings are smoothed.
+    /// Smoothing of noisy readings.
     pub smoothing: Option<BeamSmoothing>,
 }
 
-/// The readings of a scan between its limits as points in the frame of the scanner, and what was wrong with it; times of
-/// points count to the last of them, whose time is that of the result (`spec/slam2d.md` §1). `stamp` stands for that of
-/// the message, and `directions` are kept from scan to scan.
+/// Converts the readings of a scan within its limits to points in the frame of the scanner, and reports the
+/// faults of the scan. Times of points count to the last of them, whose time is that of the result
+/// (`spec/slam2d.md` §1). `stamp` replaces that of the message, and `directions` are kept from scan to scan.
 pub fn points_of_laser_scan(
     stamp: Time,
     (scan, corrections): (&LaserScan, ScanCorrections),
@@ -184,7 +185,7 @@ pub fn points_of_echoes(
     directions: &mut BeamDirections,
 ) -> (TimedPoints, ScanFaults) {
     let first = |echoes: Option<&Vec<f32>>| echoes.and_then(|e| e.first().copied());
-    // A beam without any echo saw nothing; that is no fault.
+    // A beam without any echo has no return; that is not a fault.
     let readings = scan.ranges.iter().enumerate().map(|(i, echoes)| {
         (first(Some(echoes)).unwrap_or(f32::INFINITY), first(scan.intensities.get(i)).unwrap_or(0.0))
     });

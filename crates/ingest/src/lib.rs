@@ -55,7 +55,7 @@ pub use survey::{Inventory, TopicSurvey, is_tf};
 pub use tf::{TfError, TfInput, TfTree, frame_name};
 pub use urdf::{FixedJoint, RobotDescription, parse_urdf, read_urdf};
 
-// How single messages are read, for those who judge recordings by what mapping would make of them.
+// Reading of single messages, for callers that evaluate recordings by what mapping would use of them.
 pub use convert::{MAX_ACCELERATION, MAX_ANGULAR_VELOCITY, pose_of};
 pub use laser::{BeamDirections, ScanCorrections, ScanFaults, points_of_echoes, points_of_laser_scan};
 pub use point_cloud2::{CloudError, CloudFaults, CloudLayout};

@@ -1,4 +1,4 @@
-//! What may be told about the sensors of a recording; everything else is found out.
+//! Options of reading the sensors of a recording. What the user does not set is determined automatically.
 
 use portolan_geometry::{Dimension, Duration};
 
@@ -49,18 +49,18 @@ impl Default for SamplingRatios {
     }
 }
 
-/// How to turn a recording into measurements. The default finds everything out by itself.
+/// How to turn a recording into measurements. By default everything is determined automatically.
 #[derive(Clone, Debug, PartialEq)]
 pub struct IngestOptions {
-    /// Topics of scans and point clouds to use; empty: found out.
+    /// Topics of scans and point clouds to use; empty: chosen automatically.
     pub range_topics: Vec<String>,
-    /// Topic of odometry; none: found out.
+    /// Topic of odometry; none: chosen automatically.
     pub odometry_topic: Option<String>,
-    /// Topic of the IMU; none: found out.
+    /// Topic of the IMU; none: chosen automatically.
     pub imu_topic: Option<String>,
     /// Topic of satellite fixes; naming one switches them on.
     pub nav_sat_topic: Option<String>,
-    /// Topic of landmarks; none: found out.
+    /// Topic of landmarks; none: chosen automatically.
     pub landmark_topic: Option<String>,
     /// Topic of poses in a fixed frame (`geometry_msgs/PoseStamped` of the tracking frame).
     pub fixed_frame_pose_topic: Option<String>,
@@ -72,13 +72,13 @@ pub struct IngestOptions {
     pub use_nav_sat: Option<bool>,
     /// Whether to use landmarks; none: if there are any.
     pub use_landmarks: Option<bool>,
-    /// The frame whose motion is wanted; none: found out.
+    /// The frame whose motion is estimated; none: chosen automatically.
     pub tracking_frame: Option<String>,
     /// Transforms below this frame are results of mapping and are not used.
     pub map_frame: String,
-    /// In 2D or in 3D; none: found out.
+    /// In 2D or in 3D; none: chosen automatically.
     pub dimension: Option<Dimension>,
-    /// Sensors as a configuration names them; they replace what would be found out.
+    /// Sensors as a configuration names them; they replace the automatic choice.
     pub configured: Option<ConfiguredSensors>,
     /// Pairs (name, topic): the sensor that a configuration calls `name` is on `topic`.
     pub remappings: Vec<(String, String)>,
@@ -88,26 +88,26 @@ pub struct IngestOptions {
     pub use_recorded_transforms: bool,
     /// Every laser scan is split into this many pieces in time (point clouds are not).
     pub num_subdivisions_per_laser_scan: usize,
-    /// What to do with clouds whose points have no times of their own; unless it is `Auto`, those of spinning lidars
-    /// are not used.
+    /// Times of clouds whose points have no times of their own. With any choice but `Auto` and `Recorded`,
+    /// the recorded times of spinning lidars are not used.
     pub azimuth_times: AzimuthTimes,
-    /// By what the beams of spinning lidars are raised.
+    /// Angle by which the beams of spinning lidars are raised.
     pub beam_elevation: BeamElevation,
-    /// How noisy the readings of planar scanners are: noisy ones are smoothed.
+    /// Noise of the readings of planar scanners: noisy ones are smoothed.
     pub range_noise: RangeNoise,
-    /// Pairs of a topic and what to add to its stamps and times of points.
+    /// Pairs of a topic and the offset added to its stamps and times of points.
     pub time_offsets: Vec<(String, Duration)>,
-    /// How stamps are taken.
+    /// Treatment of stamps.
     pub stamps: StampPolicy,
     /// Thinning of messages.
     pub sampling: SamplingRatios,
-    /// Messages out of order are always left out and counted; this says that they are no loss.
+    /// Messages out of order are always left out and counted; with this they do not count as a loss.
     pub ignore_out_of_order: bool,
     /// Whether points carry intensities.
     pub with_intensities: bool,
-    /// How much to leave out at the beginning.
+    /// Duration that is skipped at the beginning.
     pub skip: Duration,
-    /// How much to read after that; none: all.
+    /// Duration that is read after that; none: all.
     pub length: Option<Duration>,
 }
 

@@ -1,4 +1,4 @@
-//! Point clouds of any layout as timed points.
+//! Reads point clouds of any layout as timed points.
 
 use portolan_geometry::{Duration, Point3f, Time};
 use portolan_issue::IssueKind;
@@ -8,22 +8,22 @@ use portolan_sensor::TimedPoint;
 use crate::point_time::{PointTime, PointTimeOrigin, TIME_FIELDS, TimeSpan};
 use crate::timed_points::TimedPoints;
 
-/// Coordinates beyond this are no measurements, metres.
+/// Coordinate above which a point is not a measurement, metres.
 const HUGE: f32 = 1e6;
 
-/// Times of clouds are judged by about so many of their points.
+/// Approximate number of points of a cloud whose times are evaluated.
 const SAMPLED_TIMES: usize = 256;
 
 /// 2³² divided by the golden ratio.
 const GOLDEN_STEP: u32 = 2_654_435_769;
 
-/// Why a cloud cannot be used.
+/// Reasons why a cloud cannot be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CloudError {
     /// There is no x, y or z of a number type.
     #[error("{}", self.kind().text())]
     NoCoordinates,
-    /// A field does not lie within its point.
+    /// A field extends beyond its point.
     #[error("{}", self.kind().text())]
     FieldOutside,
 }
@@ -43,15 +43,15 @@ impl CloudError {
 pub struct CloudFaults {
     /// Points with a coordinate or time that is not finite, or farther than 1,000 km.
     pub not_finite: u64,
-    /// Points whose time lies far from those of the others.
+    /// Points whose time is far from those of the others.
     pub far_time: u64,
     /// Points at exactly (0, 0, 0): no return.
     pub zero: u64,
-    /// Points that the header promised and the data do not have.
+    /// Points that the header announces and the data do not have.
     pub missing: u64,
 }
 
-/// Names under which drivers give how much light came back, the first one that is there counts.
+/// Names under which drivers give the intensity; the first one that exists counts.
 const INTENSITY_FIELDS: [&str; 5] = ["intensity", "i", "reflectivity", "reflectance", "remission"];
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -108,14 +108,14 @@ impl Field {
     }
 }
 
-/// Where singles that follow each other begin, if these are such.
+/// Offset of consecutive single-precision fields, if these are such.
 fn singles_at(fields: &[Field; 3]) -> Option<usize> {
     let [x, y, z] = fields.map(|field| field.offset);
     let are_singles = fields.iter().all(|field| field.field_type == FieldType::Float32);
     (are_singles && y == x.checked_add(4)? && z == y.checked_add(4)?).then_some(x)
 }
 
-/// Where the values of a point are.
+/// Positions of the values within a point.
 #[derive(Clone, Debug)]
 pub struct CloudLayout {
     xyz: [Field; 3],
@@ -123,7 +123,7 @@ pub struct CloudLayout {
     intensity: Option<Field>,
     step: usize,
     is_bigendian: bool,
-    /// Where the coordinates begin if they are little-endian singles one after the other, as they nearly always are.
+    /// Offset of the coordinates if they are consecutive little-endian singles, as in nearly all clouds.
     singles_at: Option<usize>,
     /// Metres in one unit of the coordinates.
     length_unit: f32,
@@ -162,7 +162,7 @@ impl CloudLayout {
         })
     }
 
-    /// Coordinates are of this many metres.
+    /// Sets the unit of the coordinates, metres.
     pub fn with_length_unit(mut self, metres: f32) -> Self {
         self.length_unit = metres;
         self
@@ -191,7 +191,7 @@ impl CloudLayout {
         self.time.is_some()
     }
 
-    /// Calls `visit` with every point that is there; returns how many are missing.
+    /// Calls `visit` with every point in the data; returns how many are missing.
     fn for_each<'a>(&self, cloud: &'a PointCloud2, mut visit: impl FnMut(&'a [u8])) -> u64 {
         let (width, height) = (u64::from(cloud.width), u64::from(cloud.height));
         let promised = width.saturating_mul(height);
@@ -215,7 +215,7 @@ impl CloudLayout {
         promised - seen
     }
 
-    /// Calls `visit` with every `stride`-th point as it stands.
+    /// Calls `visit` with every `stride`-th point, unchanged.
     pub(crate) fn sample(&self, cloud: &PointCloud2, stride: usize, mut visit: impl FnMut(Point3f)) {
         let mut index = 0;
         self.for_each(cloud, |point| {
@@ -226,15 +226,15 @@ impl CloudLayout {
         });
     }
 
-    /// Calls `visit` with every point as it stands, and the value of its time if there is such a field.
+    /// Calls `visit` with every point, unchanged, and the value of its time if there is such a field.
     pub(crate) fn sample_timed(&self, cloud: &PointCloud2, mut visit: impl FnMut(Point3f, Option<f64>)) {
         self.for_each(cloud, |point| {
             visit(self.position(point), self.time.map(|field| field.value(point, cloud.is_bigendian)));
         });
     }
 
-    /// The time values of a cloud, to find out what they mean. Those of points that are none are left out:
-    /// some drivers leave them unset.
+    /// The time values of a cloud, to determine their meaning. Points without a return are left out: some
+    /// drivers leave their times unset.
     pub(crate) fn time_span(&self, cloud: &PointCloud2) -> Option<TimeSpan> {
         let field = self.time?;
         let (mut least, mut largest) = self.span_of_times(cloud, field, |_| true);
@@ -258,7 +258,7 @@ impl CloudLayout {
         largest.is_finite().then(|| (least * time.unit).max(largest * time.unit))
     }
 
-    /// Smallest and largest value of points that are there and meet a condition.
+    /// Smallest and largest value of points with a return that meet a condition.
     fn span_of_times(&self, cloud: &PointCloud2, field: Field, counts: impl Fn(f64) -> bool) -> (f64, f64) {
         let (mut least, mut largest) = (f64::INFINITY, f64::NEG_INFINITY);
         self.for_each(cloud, |point| {
@@ -269,7 +269,7 @@ impl CloudLayout {
         (least, largest)
     }
 
-    /// The time value of a point that is there.
+    /// The time value of a point with a return.
     fn time_value(&self, point: &[u8], field: Field, big: bool) -> Option<f64> {
         let value = field.value(point, big);
         let [x, y, z] = &self.xyz;
@@ -278,9 +278,9 @@ impl CloudLayout {
         (is_point && value.is_finite()).then_some(value)
     }
 
-    /// Time values of some points all over the cloud, ascending.
+    /// Time values of some points, spread over the cloud, ascending.
     fn some_times(&self, cloud: &PointCloud2, field: Field) -> Vec<f64> {
-        // One in so many, by steps of the golden ratio: equal steps may see only two columns of an organised cloud.
+        // Samples by steps of the golden ratio: equal steps may hit only two columns of an organised cloud.
         let one_in = |share: u32| {
             let (mut index, mut times) = (0u32, Vec::new());
             self.for_each(cloud, |point| {
@@ -305,7 +305,7 @@ impl CloudLayout {
         times.get(times.len() / 2).copied().unwrap_or(0.0)
     }
 
-    /// Points, with times as `point_time` says (none: all at the stamp).
+    /// The points, with times according to `point_time` (none: all at the stamp).
     pub fn points(
         &self,
         stamp: Time,
@@ -327,7 +327,7 @@ impl CloudLayout {
             let (x, y, z) = (position.x, position.y, position.z);
             let (time, is_near) = times.map_or((0.0, true), |(field, time, middle, reference)| {
                 let value = field.value(point, big);
-                // What is not finite is counted as that.
+                // A value that is not finite is counted as such.
                 (((value - reference) * time.unit) as f32, !value.is_finite() || is_near(value, middle, time))
             });
             if x == 0.0 && y == 0.0 && z == 0.0 {
@@ -344,7 +344,7 @@ impl CloudLayout {
             }
         });
         let base = self.base_time(stamp, point_time, times.map(|(_, _, _, reference)| reference));
-        // Times of a clock are moved with the stamps, which may have been put right.
+        // Times of a clock are shifted with the stamps, which may have been corrected.
         let is_of_clock = point_time.is_some_and(|time| time.origin == PointTimeOrigin::Epoch);
         let was_set = cloud.header.stamp != Time::UNIX_EPOCH;
         let moved = if is_of_clock && was_set { stamp - cloud.header.stamp } else { Duration::ZERO };

@@ -1,19 +1,19 @@
-//! What the time field of a point cloud means.
+//! Determines the meaning of the time field of a point cloud.
 //!
 //! Drivers disagree: seconds after the stamp (`time`, Velodyne), nanoseconds after it (`t`, Ouster;
 //! `offset_time`, Livox), seconds or nanoseconds of some clock (`timestamp`; Hesai, RoboSense, Livox).
-//! Names do not tell, so the numbers of the first clouds do:
+//! Names do not determine it, so the values of the first clouds are used:
 //!
 //! 1. The values of a cloud span one sweep. The unit (s, ms, µs or ns) is the one that makes the sweep
 //!    last closest to the interval between clouds, on a logarithmic scale, but not much longer. Without
 //!    an interval, 0.1 s is expected.
-//! 2. Values that are far larger than the span belong to a clock. If they are dates (1973 to 2286) in
+//! 2. Values that are far larger than the span are readings of a clock. If they are dates (1973 to 2286) in
 //!    one of the units, that unit is right, whatever the span says.
 //! 3. A clock that agrees with the stamps to 10 s gives absolute times. Any other clock gives times
 //!    after the stamp, the first point being measured at it.
 //! 4. A sweep takes about as long as the interval between clouds. Single values far outside it are faults of a
 //!    driver: they do not count here, and their points are left out.
-//! 5. Values of an integer field that are all equal, and single-precision dates, tell nothing: all
+//! 5. Values of an integer field that are all equal, and single-precision dates, carry no information: all
 //!    points count as measured at the stamp.
 
 use portolan_geometry::Time;
@@ -23,25 +23,25 @@ use portolan_recording::FieldType;
 pub(crate) const TIME_FIELDS: [&str; 7] =
     ["time", "t", "timestamp", "offset_time", "time_stamp", "time_offset", "point_time_offset"];
 
-/// What the values of the time field count from.
+/// Origin of the values of the time field.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PointTimeOrigin {
     /// The stamp of the message.
     Stamp,
     /// 1970-01-01, like stamps.
     Epoch,
-    /// Something else; the first point is taken to be measured at the stamp.
+    /// Another time; the first point is taken to be measured at the stamp.
     OtherClock,
 }
 
 /// How to read the time field of a cloud.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PointTime {
-    /// Seconds per unit of the field; less than zero where values fall with time.
+    /// Seconds per unit of the field; negative where values fall with time.
     pub unit: f64,
-    /// What values count from.
+    /// Origin of the values.
     pub origin: PointTimeOrigin,
-    /// Points further than this from the median of their cloud have a wrong time, seconds.
+    /// Maximum difference from the median time of the cloud, seconds; points beyond it have a wrong time.
     pub reach: f64,
 }
 
@@ -50,7 +50,7 @@ pub struct PointTime {
 pub(crate) struct TimeSpan {
     pub field_type: FieldType,
     pub stamp: Time,
-    /// Smallest and largest value as they stand, without single values far away.
+    /// Smallest and largest value, unscaled, without outliers.
     pub least: f64,
     pub largest: f64,
     /// Largest minus smallest, without loss of digits.
@@ -58,7 +58,7 @@ pub(crate) struct TimeSpan {
 }
 
 impl TimeSpan {
-    /// Whether times tell one point from another: they are not all alike, and no dates in single precision.
+    /// Whether times distinguish points: they are not all equal, and not dates in single precision.
     pub fn tells(&self) -> bool {
         self.span > 0.0 && (self.field_type != FieldType::Float32 || self.date_unit().is_none())
     }
@@ -73,13 +73,14 @@ impl TimeSpan {
 const UNITS: [f64; 4] = [1.0, 1e-3, 1e-6, 1e-9];
 /// Interval between sweeps where none is known, seconds.
 const USUAL_INTERVAL: f64 = 0.1;
-/// Sweeps last at most so many times the interval between clouds, or the usual length of sweeps.
+/// Maximum duration of a sweep, as a multiple of the interval between clouds or of the usual duration of
+/// sweeps.
 const LONGEST_SWEEP: f64 = 2.5;
-/// Clocks nearer than this to the stamps are the clock of the stamps, seconds.
+/// Difference below which a clock counts as that of the stamps, seconds.
 const SAME_CLOCK: f64 = 10.0;
 
-/// Finds out what time values mean from those of the first clouds and the interval between clouds in
-/// seconds; `None` if they tell nothing.
+/// Determines the meaning of time values from those of the first clouds and the interval between clouds in
+/// seconds; `None` if they carry no information.
 pub(crate) fn detect(spans: &[TimeSpan], interval: Option<f64>) -> Option<PointTime> {
     let mut by_length: Vec<&TimeSpan> =
         spans.iter().filter(|s| s.span > 0.0 && s.span.is_finite() && s.least.is_finite()).collect();

@@ -1,7 +1,7 @@
-//! Lines through neighbouring readings of a planar scanner.
+//! Fits lines to neighbouring readings of a planar scanner.
 //!
-//! In polar coordinates a line is 1 / r = a cos φ + b sin φ, linear in a and b. With noise of σ on each range r the error of 1 / r
-//! is σ / r², so that readings weigh r⁴.
+//! In polar coordinates a line is 1 / r = a cos φ + b sin φ, linear in a and b. With noise of σ on each range
+//! r the error of 1 / r is σ / r², so readings have the weight r⁴.
 
 /// Sums of weighted least squares over readings.
 #[derive(Clone, Copy, Debug, Default)]
@@ -15,11 +15,11 @@ pub(crate) struct LineSums {
     sin_inverse: f64,
 }
 
-/// What holds b where readings tell it hardly, as a share of the weight of all readings.
+/// Regularisation of b where readings hardly constrain it, as a fraction of the weight of all readings.
 const DAMPING: f64 = 1e-9;
 
 impl LineSums {
-    /// Takes a reading in a direction, given as sine and cosine, metres.
+    /// Adds a reading in a direction, given as sine and cosine; range in metres.
     pub fn add(&mut self, (sin, cos): (f64, f64), range: f64) {
         let weight = range.powi(4);
         self.readings += 1;

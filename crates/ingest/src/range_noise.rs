@@ -1,4 +1,5 @@
-//! How noisy the readings of a planar scanner are, told by scans themselves: by how much neighbouring readings differ from lines.
+//! Estimates the range noise of a planar scanner from its scans: from the deviations of neighbouring readings
+//! from lines.
 
 use portolan_numeric::quantile;
 use portolan_recording::LaserScan;
@@ -8,33 +9,35 @@ use crate::polar_line::LineSums;
 /// The noise of the ranges of planar scanners.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum RangeNoise {
-    /// As the scans tell.
+    /// Estimated from the scans.
     #[default]
     Auto,
-    /// Standard deviation, metres; zero takes readings as they are.
+    /// Standard deviation, metres; with zero readings stay unchanged.
     Fixed(f64),
 }
 
-/// So many neighbouring readings are compared with a line, but for those of them that are farthest from it: dust, people and edges
-/// are no noise.
+/// Number of neighbouring readings that are compared with a line.
 const BEAMS: usize = 9;
+/// Number of these readings that are left out, those farthest from the line: dust, people and edges are not
+/// noise.
 const OUTLIERS: usize = 3;
-/// Degrees of freedom that are left.
+/// Degrees of freedom that remain.
 const FREEDOM: f64 = (BEAMS - OUTLIERS - 2) as f64;
-/// Of all groups of readings at least this share sees a straight wall.
+/// Minimum fraction of the groups of readings that see a straight wall.
 const STRAIGHT: f64 = 0.2;
-/// The scatter of normally distributed readings over their standard deviation that this share of groups stays below (by
-/// simulation).
+/// Quantile at this fraction of the scatter of normally distributed readings over their standard deviation
+/// (by simulation).
 const QUANTILE_FACTOR: f64 = 0.26;
-/// Groups that are wider, radians from the first beam to the last, hardly ever see one straight wall, and corners and steps
-/// would pass for noise: beams of scanners of a degree and finer are compared.
+/// Maximum width of a group, radians from the first beam to the last. Wider groups rarely see one straight
+/// wall, and corners and steps would pass for noise. So scanners with beams of a degree and finer are
+/// evaluated.
 const WIDEST: f64 = 0.2;
-/// Readings beyond this are few and far apart, metres.
+/// Maximum range of evaluated readings, metres: readings beyond it are few and far apart.
 const FARTHEST: f32 = 30.0;
-/// With fewer groups nothing is said, and so many say enough.
+/// Minimum number of groups for an estimate, and the number that suffices.
 const GROUPS: std::ops::Range<usize> = 500..100_000;
 
-/// What scans tell of the noise of their readings.
+/// Estimates the noise of the readings from scans.
 #[derive(Clone, Debug, Default)]
 pub struct RangeNoiseEstimator {
     /// Root mean squares of the deviations of groups of readings from their lines, metres.
@@ -42,7 +45,7 @@ pub struct RangeNoiseEstimator {
 }
 
 impl RangeNoiseEstimator {
-    /// Takes a scan.
+    /// Adds a scan.
     pub fn add(&mut self, scan: &LaserScan) {
         if self.scatters.len() >= GROUPS.end {
             return;
@@ -57,7 +60,7 @@ impl RangeNoiseEstimator {
         self.scatters.extend(groups.filter_map(|group| scatter(group, increment)));
     }
 
-    /// Standard deviation of the ranges, metres; none where too little was seen.
+    /// Standard deviation of the ranges, metres; none if there are too few groups.
     pub fn sigma(&self) -> Option<f64> {
         let mut scatters = self.scatters.clone();
         let straight = quantile(&mut scatters, STRAIGHT)?;
@@ -65,7 +68,7 @@ impl RangeNoiseEstimator {
     }
 }
 
-/// By how much readings scatter about their line, metres, without the farthest.
+/// Scatter of readings about their line, metres, without the farthest.
 fn scatter(group: &[f32], increment: f64) -> Option<f64> {
     let middle = (BEAMS / 2) as f64;
     let mut readings: Vec<((f64, f64), f64)> = group
@@ -82,7 +85,7 @@ fn scatter(group: &[f32], increment: f64) -> Option<f64> {
     Some((squares.iter().sum::<f64>() / FREEDOM).sqrt()).filter(|scatter| scatter.is_finite())
 }
 
-/// Of readings, each a direction and a range, from the line through all of them, metres².
+/// Squared deviations of readings, each a direction and a range, from the line through all of them, metres².
 fn squared_residuals(readings: &[((f64, f64), f64)]) -> Option<Vec<f64>> {
     let mut sums = LineSums::default();
     readings.iter().for_each(|(direction, range)| sums.add(*direction, *range));

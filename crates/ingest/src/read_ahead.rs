@@ -1,4 +1,4 @@
-//! Messages a little later than they are read, so that their transforms are there.
+//! Delays messages a little, so that their transforms are known.
 
 use std::collections::VecDeque;
 
@@ -8,20 +8,21 @@ use portolan_recording::{Message, MessageReader, RecordedMessage, RecordingError
 
 use crate::tf::{TfInput, TfTree};
 
-/// Transforms may be recorded this much later than the data that need them.
+/// Time by which transforms may be recorded later than the data that need them.
 const AHEAD: Duration = Duration::from_ticks(10_000_000);
-/// Moving transforms are kept this long.
+/// Time for which moving transforms are kept.
 const KEPT: Duration = Duration::from_ticks(10 * 10_000_000);
-/// More than this is not read ahead.
+/// Maximum size of the messages that are read ahead, bytes.
 const MAX_BYTES: usize = 1 << 30;
+/// Maximum number of messages that are read ahead.
 const MAX_MESSAGES: usize = 1_000_000;
 
-/// Messages of one time are put in order of topic, as far as this many of them.
+/// Maximum number of messages of one time that are put in order of topic.
 const MAX_TIES: usize = 1000;
 
-/// Reads messages, takes transforms into the tree at once and gives everything 1 s later (but all of it
-/// at the end). Messages recorded at the same time are given in order of topic, so that the same data
-/// are the same in every format.
+/// Reads messages, inserts transforms into the tree at once and returns everything 1 s later (but all of it
+/// at the end). Messages recorded at the same time are returned in order of topic, so that the order does not
+/// depend on the format.
 pub(crate) struct ReadAhead {
     reader: Box<dyn MessageReader>,
     ahead: Duration,
@@ -34,7 +35,7 @@ pub(crate) struct ReadAhead {
 }
 
 impl ReadAhead {
-    /// Without `wait_for_transforms` messages are given as soon as a later one has been read.
+    /// Without `wait_for_transforms` messages are returned as soon as a later one has been read.
     pub fn new(reader: Box<dyn MessageReader>, tree: TfTree, tf: TfInput, wait_for_transforms: bool) -> Self {
         let ahead = if wait_for_transforms { AHEAD } else { Duration::ZERO };
         Self {
@@ -105,7 +106,7 @@ impl ReadAhead {
         self.reader.position_bytes()
     }
 
-    /// What the format repaired.
+    /// Issues that the format repaired.
     pub fn issues(&self) -> Vec<Issue> {
         self.reader.issues()
     }

@@ -1,16 +1,16 @@
-//! Jumps of the clock that a recording was made with.
+//! Detects jumps of the clock that a recording was made with.
 
 use portolan_geometry::Time;
 use portolan_issue::{Issue, IssueKind};
 
-/// No recording pauses for so long, seconds: a day. Computers without a battery for their clock start in 1970 and
-/// are put right once there is a network.
+/// Longest pause of a recording, seconds: a day. Computers without a battery for their clock start in 1970
+/// and are corrected once there is a network.
 pub const LONGEST_PAUSE: f64 = 86_400.0;
 /// Seconds of a year (Gregorian calendar) and of a day.
 const YEAR: (f64, &str) = (31_556_952.0, "year");
 const DAY: (f64, &str) = (86_400.0, "day");
 
-/// Follows the times of recording of the messages of sensors.
+/// Checks the times of recording of the messages of sensors.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RecordingClock {
     last: Option<Time>,
@@ -18,7 +18,7 @@ pub struct RecordingClock {
 }
 
 impl RecordingClock {
-    /// Takes the time of recording of the next message; what is wrong with it.
+    /// Takes the time of recording of the next message; returns an issue if the clock jumped.
     pub fn take(&mut self, log_time: Time) -> Option<Issue> {
         self.messages += 1;
         let last = self.last.replace(log_time)?;

@@ -1,4 +1,5 @@
-//! Messages that come twice: from drivers that send again, and from recordings put together that overlap; and old scans under new stamps.
+//! Drops repeated messages, and old scans under new stamps. Repeats come from drivers that send a message
+//! again, and from merged recordings that overlap.
 
 use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -10,14 +11,16 @@ use portolan_recording::{
     Header, LaserScan, Message, MessageReader, RecordedMessage, Recording, RecordingError, TopicInfo,
 };
 
-/// Of the bytes of a cloud about so many are compared, evenly spread: two sweeps do not share them by chance.
+/// Approximate number of bytes of a cloud that are compared, evenly spread: two sweeps do not share them by
+/// chance.
 const COMPARED_BYTES: usize = 4096;
-/// A scan in which so many readings differ from those before them does not repeat by chance, wherever it stands: readings have noise.
+/// Number of readings different from their neighbours above which a scan does not repeat by chance, even at
+/// rest: readings have noise.
 const READINGS_THAT_DIFFER: usize = 10;
 
-/// One pass over a recording, without the messages of range sensors, IMUs and odometry that repeat the one before on their
-/// topic: the same stamp and the same values. They are counted. So are scans and clouds with the values of the one before and
-/// another stamp: nothing new was measured.
+/// One pass over a recording, without the messages of range sensors, IMUs and odometry that repeat the one
+/// before on their topic: the same stamp and the same values. They are counted. Scans and clouds with the
+/// values of the one before and another stamp are dropped and counted, too: they hold no new measurement.
 pub fn read_without_repeats(
     recording: &dyn Recording,
     wanted: &dyn Fn(&TopicInfo) -> bool,
@@ -32,12 +35,12 @@ struct WithoutRepeats {
     issues: IssueLog,
 }
 
-/// What a message is compared by.
+/// Hashes by which messages are compared.
 struct Digests {
     stamp: Time,
-    /// Of stamp and values; none where stamps are not set.
+    /// Hash of stamp and values; none where stamps are not set.
     message: Option<u64>,
-    /// Of the values of a scan or a cloud; none where they may be the same by chance.
+    /// Hash of the values of a scan or a cloud; none where they may be equal by chance.
     scan: Option<u64>,
 }
 
@@ -83,7 +86,7 @@ impl MessageReader for WithoutRepeats {
     }
 }
 
-/// Digests of what was measured, and when; none for messages without a stamp, and for other kinds.
+/// Hashes of the values and of the stamp; none for messages without a stamp, and for other kinds.
 fn digests(message: &Message) -> Option<Digests> {
     let mut digest = DefaultHasher::new();
     let (header, is_scan): (&Header, bool) = match message {
@@ -121,7 +124,7 @@ fn digests(message: &Message) -> Option<Digests> {
     Some(Digests { stamp, message, scan })
 }
 
-/// Whether a scan has readings that have noise: not those of a scanner that sees nothing.
+/// Whether a scan has readings with noise, unlike a scan without returns.
 fn has_readings(scan: &LaserScan) -> bool {
     let differ = scan
         .ranges

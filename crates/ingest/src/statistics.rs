@@ -1,4 +1,4 @@
-//! What a range sensor, an IMU and odometry are like, from the first messages.
+//! Determines the properties of a range sensor, an IMU and odometry from the first messages.
 
 use portolan_geometry::{Point3f, Vector3};
 use portolan_numeric::median;
@@ -9,28 +9,30 @@ use crate::point_cloud2::CloudLayout;
 use crate::point_time::{PointTime, PointTimeOrigin, TimeSpan, detect};
 use crate::skew::{Skew, SkewEstimator, Times};
 
-/// So many scans or clouds tell enough.
+/// Maximum number of scans or clouds that are evaluated.
 const MAX_MESSAGES: usize = 200;
-/// So many readings of each.
+/// Number of readings of each that are evaluated.
 const MAX_READINGS: usize = 500;
-/// So many IMU samples.
+/// Maximum number of IMU samples that are evaluated.
 const MAX_SAMPLES: usize = 20_000;
-/// Fraction of readings at exactly the largest value that makes it the mark for "nothing seen".
+/// Fraction of readings at exactly the largest value from which that value means "no return".
 const SATURATED_SHARE: f64 = 0.005;
 
-/// Clouds of fewer degrees from top to bottom are not of 3D lidars.
+/// Vertical field of view above which clouds count as those of a 3D lidar, degrees.
 const MIN_SPACE: f64 = 5.0;
 
-/// Turns of spinning lidars a second. Clouds that come more rarely are key frames that somebody chose, not turns.
+/// Rates of spinning lidars, turns per second. Clouds that come less often are selected key frames, not
+/// turns.
 const SPINNING_RATES: std::ops::RangeInclusive<f64> = 4.0..=50.0;
 
-/// Sweeps last such a part of the interval between clouds, by times that may be wrong; others tell nothing of the motion.
+/// Plausible durations of sweeps as fractions of the interval between clouds, by times that may be wrong.
+/// Others are not used for the skew.
 const DUTIES: std::ops::Range<f64> = 1e-3..5.0;
 
-/// What a range sensor is like. Angles in radians, distances in metres, times in seconds.
+/// Properties of a range sensor. Angles in radians, distances in metres, times in seconds.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct RangeStatistics {
-    /// How many messages were looked at.
+    /// Number of messages that were evaluated.
     pub messages: usize,
     /// Messages per second; zero if unknown.
     pub rate: f64,
@@ -45,36 +47,37 @@ pub struct RangeStatistics {
     /// Angle between neighbouring beams of a scanner in a plane; for clouds the field of view over the
     /// number of directions seen.
     pub angular_resolution: f64,
-    /// Half of the distances are below this.
+    /// Median of the distances.
     pub median_range: f64,
-    /// 95 of 100 distances are below this.
+    /// 95th percentile of the distances.
     pub p95_range: f64,
-    /// The largest distance that is no mark for "nothing seen".
+    /// The largest distance that does not mean "no return".
     pub max_range: f64,
-    /// A reading that occurs suspiciously often and is the largest: it seems to mean "nothing seen".
+    /// The largest reading, if it occurs suspiciously often: it seems to mean "no return".
     pub saturation_range: Option<f64>,
-    /// How long one message measures; zero if all points have the same time.
+    /// Duration of one sweep; zero if all points have the same time.
     pub sweep_duration: f64,
-    /// How much of the motion of the lidar is in its clouds; none if it did not move while it was looked at, or if
-    /// clouds are no sweeps of 3D lidars.
+    /// Estimate of the motion that is still in the clouds; none if the lidar did not move in the first look,
+    /// or if the clouds are not sweeps of a 3D lidar.
     pub skew: Option<Skew>,
-    /// What the times of points are to be multiplied with, as the motion in clouds tells; none if they are right as far as is known.
-    /// 0: they are not to be used.
+    /// Factor for the times of points, as the motion in the clouds shows; none if nothing contradicts the
+    /// recorded times. 0: they are not to be used.
     pub time_scale: Option<f64>,
-    /// How the lidar turns, where the azimuth tells times that fit the motion and recorded ones do not.
+    /// How the lidar turns, where times by azimuth fit the motion and recorded ones do not.
     pub turn_told: Option<Turn>,
-    /// Seconds from the stamp of a cloud to its first point, by recorded times; none if these count from something else.
+    /// Seconds from the stamp of a cloud to its first point, by recorded times; none if these count from
+    /// another time.
     pub sweep_begin: Option<f64>,
-    /// Whether recorded times are wrong, but it is not clear what is right.
+    /// Whether recorded times are wrong without it being clear which times are right.
     pub times_in_doubt: bool,
-    /// Whether the lidar stood while it was looked at, so that nothing can be said of the motion in its clouds.
+    /// Whether the lidar stood still in the first look, so that the skew is unobservable.
     pub only_stood: bool,
-    /// Whether the points of clouds without times stand in the order in which a spinning lidar measured them.
+    /// Whether the points of clouds without times are in the order in which a spinning lidar measured them.
     pub is_in_firing_order: bool,
 }
 
 impl RangeStatistics {
-    /// Whether a lidar that turns round and round gave clouds that see space.
+    /// Whether the clouds are those of a spinning 3D lidar.
     pub fn is_spinning(&self) -> bool {
         let degrees = |angle: f64| angle.to_degrees();
         degrees(self.field_of_view) > 355.0
@@ -82,28 +85,29 @@ impl RangeStatistics {
             && SPINNING_RATES.contains(&self.rate)
     }
 
-    /// Whether points have times of their own, so that motion during a sweep can be undone.
+    /// Whether points have times of their own, so that sweeps can be de-skewed.
     pub fn has_point_times(&self) -> bool {
         self.sweep_duration > 0.0
     }
 }
 
-/// What an IMU is like.
+/// Properties of an IMU.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct ImuStatistics {
-    /// How many samples were looked at.
+    /// Number of samples that were evaluated.
     pub messages: usize,
     /// Samples per second; zero if unknown.
     pub rate: f64,
-    /// Median length of the measured acceleration, as it stands (9.8 if it is in m/s²).
+    /// Median norm of the measured acceleration, in the units of the messages (9.8 if in m/s²).
     pub median_acceleration: f64,
-    /// Mean measured acceleration, as it stands, in the frame of the IMU.
+    /// Mean measured acceleration, in the units of the messages, in the frame of the IMU.
     pub mean_acceleration: [f64; 3],
-    /// Median length of the measured angular velocity, as it stands.
+    /// Median norm of the measured angular velocity, in the units of the messages.
     pub median_angular_velocity: f64,
-    /// Fraction of the samples whose angular velocity, as it stands, is above 12: too fast for rad/s.
+    /// Fraction of the samples whose angular velocity, in the units of the messages, is above 12: too fast
+    /// for rad/s.
     pub fast_share: f64,
-    /// Whether it says that it measures no acceleration or no angular velocity.
+    /// Whether the messages declare that acceleration or angular velocity is not measured.
     pub is_partial: bool,
 }
 
@@ -121,11 +125,11 @@ pub(crate) struct RangeSampler {
     sweeps: Vec<f64>,
     time_spans: Vec<TimeSpan>,
     skew: SkewEstimator,
-    /// Clouds whose points stand in the order of firing, less those whose do not.
+    /// Number of clouds whose points are in the order of firing, minus the number of the others.
     in_firing_order: i64,
     sweep: Vec<Point3f>,
     times: Vec<f64>,
-    /// Metres in one unit of the coordinates of clouds, once a cloud told it.
+    /// Metres in one unit of the coordinates of clouds, once known from a cloud.
     length_unit: Option<f32>,
 }
 
@@ -184,7 +188,7 @@ impl RangeSampler {
         let stride = beams.div_ceil(MAX_READINGS).max(1);
         let mut returns = 0;
         for (i, range) in ranges.enumerate() {
-            // Limits that make no sense let everything pass.
+            // Invalid limits are ignored.
             let outside = range < limits.0 || (range > limits.1 && limits.1 > limits.0);
             if !range.is_finite() || range <= 0.0 || outside {
                 continue;
@@ -240,7 +244,7 @@ impl RangeSampler {
         }
     }
 
-    /// A sweep that may tell how much of the motion is in it.
+    /// Adds a sweep to the estimate of the skew.
     fn add_sweep(&mut self, layout: &CloudLayout, cloud: &PointCloud2) {
         self.sweep.clear();
         self.times.clear();
@@ -256,7 +260,7 @@ impl RangeSampler {
                 let shares: Vec<f32> = self.times.iter().map(share).collect();
                 self.skew.add(cloud.header.stamp, &self.sweep, Some(&shares));
             }
-            // Times that are all alike are none, or say that the motion was taken out: sweeps tell.
+            // Equal times carry no information, or mean that the cloud is de-skewed: the sweeps decide.
             None | Some(_) => {
                 self.in_firing_order += if is_in_firing_order(self.sweep.iter()) { 1 } else { -1 };
                 self.skew.add(cloud.header.stamp, &self.sweep, None);
@@ -274,13 +278,13 @@ impl RangeSampler {
         self.length_unit.unwrap_or(METRE)
     }
 
-    /// Whether more clouds would tell something that these do not.
+    /// Whether more clouds would add information on the skew.
     pub fn is_undecided(&self) -> bool {
         !self.sweep.is_empty() && !self.skew.is_done()
     }
 
-    /// The field of view of clouds is a full turn less the largest sector without a point; sectors below
-    /// 5° are the spaces between columns.
+    /// Field of view of clouds: a full turn less the largest sector without a point. Sectors below 5° are the
+    /// spaces between columns.
     fn view_of_clouds(&self) -> (f64, f64) {
         const SECTOR: f64 = std::f64::consts::TAU / 720.0;
         let directions = self.directions.iter().enumerate();
@@ -293,7 +297,7 @@ impl RangeSampler {
         (view, view / seen.len() as f64)
     }
 
-    /// What the time field of the clouds means.
+    /// Meaning of the time field of the clouds.
     pub fn point_time(&self, interval: Option<f64>) -> Option<PointTime> {
         detect(&self.time_spans, interval)
     }
@@ -319,7 +323,7 @@ impl RangeSampler {
         let is_sweep_rate = interval.is_some_and(|interval| SPINNING_RATES.contains(&(1.0 / interval)));
         let (field_of_view, angular_resolution) = self.scan.unwrap_or_else(|| self.view_of_clouds());
         let sweep_duration = median(&mut sweeps).unwrap_or(0.0);
-        // Sweeps that last a part of the interval have a part of its motion in them.
+        // Sweeps that last a fraction of the interval have that fraction of its motion in them.
         let duty = interval.map_or(0.0, |interval| sweep_duration / interval);
         let duty = if DUTIES.contains(&duty) { duty } else { 1.0 };
         let skew = self.skew.skew().filter(|_| is_sweep_rate).map(|skew| skew.of_part(duty));
@@ -349,7 +353,7 @@ impl RangeSampler {
         statistics
     }
 
-    /// Whether the times of points are right, as the motion in clouds tells.
+    /// Checks the times of points by the motion in the clouds.
     fn judge_times(&self, statistics: &mut RangeStatistics, duty: f64) {
         let spins = statistics.is_spinning();
         let Some(skew) = statistics.skew.as_mut().filter(|_| statistics.sweep_duration > 0.0) else { return };
@@ -365,7 +369,8 @@ impl RangeSampler {
     }
 }
 
-/// Seconds from the stamp of clouds to their first points, by times that may be those of other points of the cloud.
+/// Seconds from the stamp of clouds to their first points, by times that may belong to other points of the
+/// cloud.
 fn sweep_begin(spans: &[TimeSpan], times: PointTime) -> Option<f64> {
     let begin = |span: &TimeSpan| match times.origin {
         PointTimeOrigin::Stamp => Some(span.least * times.unit),
@@ -377,13 +382,13 @@ fn sweep_begin(spans: &[TimeSpan], times: PointTime) -> Option<f64> {
 
 const METRE: f32 = 1.0;
 const MILLIMETRE: f32 = 1e-3;
-/// Half of the points of a cloud lie beyond this only if it is in millimetres: no lidar sees that far, and nothing is
-/// that near.
+/// Range of the median of the ranges of a cloud that is in millimetres: no lidar measures that far, and no
+/// scene is that near.
 const MEDIAN_IN_MILLIMETRES: std::ops::Range<f32> = 500.0..500_000.0;
-/// Fewer points tell nothing.
+/// Minimum number of points that determine the unit.
 const TELLING_POINTS: usize = 50;
 
-/// Metres in one unit of the coordinates, as its points tell; none if they are too few.
+/// Metres in one unit of the coordinates, from the ranges of the points; none if they are too few.
 fn length_unit(layout: &CloudLayout, cloud: &PointCloud2) -> Option<f32> {
     let total = cloud.data.len() / (cloud.point_step as usize).max(1);
     let mut ranges = Vec::new();
@@ -399,7 +404,7 @@ fn length_unit(layout: &CloudLayout, cloud: &PointCloud2) -> Option<f32> {
     Some(if MEDIAN_IN_MILLIMETRES.contains(median) { MILLIMETRE } else { METRE })
 }
 
-/// Nobody who maps turns faster than this for long, rad/s.
+/// Angular velocity that no platform exceeds for long, rad/s.
 pub const FAST_TURN: f64 = 12.0;
 
 /// Collects [`ImuStatistics`].
@@ -440,7 +445,7 @@ impl ImuSampler {
     }
 }
 
-/// Whether the message says that it lacks acceleration or angular velocity (−1 in its covariance).
+/// Whether the message declares that acceleration or angular velocity is missing (−1 in its covariance).
 pub fn is_partial(imu: &Imu) -> bool {
     imu.linear_acceleration_covariance[0] == -1.0 || imu.angular_velocity_covariance[0] == -1.0
 }

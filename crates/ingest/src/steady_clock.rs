@@ -1,22 +1,23 @@
-//! When a sensor with a steady rate measured, from stamps that jitter.
+//! Estimates the measurement times of a sensor with a steady rate from stamps that jitter.
 //!
-//! Time and period of its measurements are the state of a Kalman filter: from one measurement to the next time goes on by the period
-//! and what the sensor itself does irregularly, and each stamp is its time with noise. Messages that come later tell of earlier ones,
-//! too (smoothing with a fixed lag: Rauch, Tung and Striebel 1965, Maximum likelihood estimates of linear dynamic systems, over the
-//! messages at hand).
+//! Time and period of its measurements are the state of a Kalman filter. From one measurement to the next,
+//! time advances by the period and by the irregularity of the sensor itself, and each stamp is the time with
+//! noise. Later messages improve the times of earlier ones, too (smoothing with a fixed lag: Rauch, Tung and
+//! Striebel 1965, Maximum likelihood estimates of linear dynamic systems, over the messages at hand).
 
 use portolan_geometry::nalgebra::{Matrix2, Vector2};
 use portolan_geometry::{Duration, Time};
 use portolan_recording::StampNoise;
 
-/// The period is known to this fraction at first, and changes by so much from measurement to measurement.
+/// Initial standard deviation of the period, as a fraction of it.
 const PERIOD_KNOWN: f64 = 0.02;
+/// Change of the period from measurement to measurement, as a fraction of it (standard deviation).
 const PERIOD_CHANGES: f64 = 1e-4;
-/// Measurements that are missing leave the time of the next one open by this fraction of the period.
+/// Standard deviation of the time of the next measurement after missing ones, as a fraction of the period.
 const OPEN_AFTER_GAP: f64 = 0.3;
-/// So many messages tell whether measurements are missing before them, or the first one came late.
+/// Number of messages that decide whether measurements are missing before them, or the first one came late.
 const TELL_A_GAP: usize = 6;
-/// Stamps that are more standard deviations off have less weight (Huber).
+/// Number of standard deviations above which a stamp has less weight (Huber).
 const INLIER: f64 = 2.0;
 
 /// Time, seconds since the last one, and period of measurements with their covariance.
@@ -33,11 +34,12 @@ struct Step {
     updated: Phase,
 }
 
-/// Later messages of so many seconds are looked at, but not more than so many. (Other sensors are waited for up to 2 s.)
+/// Time span of later messages that are used, seconds. (Other sensors are waited for up to 2 s.)
 pub(crate) const LOOK_AHEAD: f64 = 1.5;
+/// Maximum number of later messages that are used.
 const MOST_AHEAD: usize = 64;
 
-/// How many messages that come so many seconds apart are looked at to find the time of the first.
+/// Number of messages, `period` seconds apart, that are used to find the time of the first.
 pub(crate) fn messages_ahead(period: f64) -> usize {
     MOST_AHEAD.min((LOOK_AHEAD / period) as usize + 1)
 }
@@ -47,12 +49,12 @@ pub(crate) fn messages_ahead(period: f64) -> usize {
 pub struct StampJitter {
     /// Seconds between measurements.
     pub period: f64,
-    /// How much stamps and intervals differ.
+    /// Standard deviations of stamps and of intervals.
     pub noise: StampNoise,
 }
 
 impl StampJitter {
-    /// The times of measurements with these stamps, in order of arrival; none where it cannot be told.
+    /// Times of measurements with these stamps, in order of arrival; none where they cannot be determined.
     pub fn times(&self, stamps: &[Time]) -> Option<Vec<Time>> {
         let mut clock = SteadyClock::new(self);
         let ahead = messages_ahead(self.period);
@@ -61,28 +63,29 @@ impl StampJitter {
     }
 }
 
-/// Follows the times of one sensor.
+/// Estimates the times of one sensor.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SteadyClock {
     noise: StampNoise,
-    /// The time of the last measurement as known then, and the filter's state there.
+    /// Time of the last measurement as known then, and the filter's state there.
     last: Option<(Time, Phase)>,
     /// Seconds.
     usual_period: f64,
 }
 
 impl SteadyClock {
-    /// Of a sensor whose stamps jitter like this.
+    /// `jitter`: noise and period of the sensor.
     pub fn new(jitter: &StampJitter) -> Self {
         Self { noise: jitter.noise, last: None, usual_period: jitter.period }
     }
 
-    /// Seconds between measurements, as known by now.
+    /// Current estimate of the seconds between measurements.
     pub fn period(&self) -> f64 {
         self.last.map_or(self.usual_period, |(_, phase)| phase.mean.y)
     }
 
-    /// The time of the first of these stamps, which are in order of arrival and follow the one before; none if there are none.
+    /// Time of the first of these stamps, which are in order of arrival and follow the one before; none
+    /// without stamps.
     pub fn time(&mut self, stamps: &[Time]) -> Option<Time> {
         let first = *stamps.first()?;
         let base = self.last.map_or(first, |(time, _)| time);
@@ -118,14 +121,14 @@ impl SteadyClock {
         steps
     }
 
-    /// Nothing is known but the rate.
+    /// Initial state: only the rate is known.
     fn beginning(&self, stamp: f64) -> Phase {
         let spread = Vector2::new(OPEN_AFTER_GAP, PERIOD_KNOWN) * self.usual_period;
         let covariance = Matrix2::from_diagonal(&spread.component_mul(&spread));
         Phase { mean: Vector2::new(stamp, self.usual_period), covariance }
     }
 
-    /// To the next measurement, from its stamp and the ones that follow it.
+    /// Predicts the next measurement, from its stamp and the ones that follow it.
     fn predict(&self, last: &Phase, stamps: &[f64]) -> (Matrix2<f64>, Phase) {
         let (time, period) = (last.mean.x, last.mean.y);
         let late = (1u32..).zip(stamps.iter().take(TELL_A_GAP));
@@ -163,7 +166,8 @@ mod tests {
         Time::from_unix_seconds(1e9) + Duration::from_seconds(seconds)
     }
 
-    /// Root mean square of the errors of stamps and of times, of measurements at these times with stamps off by these, seconds.
+    /// Root mean square errors of stamps and of estimated times, seconds. `truth` are the times of the measurements,
+    /// `off` the errors of their stamps.
     fn errors(truth: &[f64], off: impl Fn(usize) -> f64, noise: StampNoise) -> (f64, f64) {
         let stamps: Vec<Time> = truth.iter().enumerate().map(|(k, t)| at(t + off(k))).collect();
         let times = StampJitter { period: 0.2, noise }.times(&stamps).unwrap();
@@ -174,7 +178,7 @@ mod tests {
         (rms(&stamps), rms(&times))
     }
 
-    /// Without mean, spread evenly to 1 either way.
+    /// Noise without mean, spread evenly from −1 to 1.
     fn random(k: usize) -> f64 {
         (k * 7919 % 1009) as f64 / 504.0 - 1.0
     }

@@ -1,21 +1,21 @@
-//! IMUs whose driver sends the last sample again and again, after the sensor fell silent.
+//! Detects IMUs whose driver repeats the last sample after the sensor stopped measuring.
 
 use portolan_geometry::{Duration, Time};
 use portolan_recording::Imu;
 
-/// Noise changes the last digits of six numbers with every sample; drivers that poll faster than the IMU measures repeat them for less
-/// than this.
+/// Maximum time for which a sample may repeat. Noise changes the last digits of its six numbers with every
+/// measurement; drivers that poll faster than the IMU measures repeat them for less than this.
 const LONGEST_REPEAT: Duration = Duration::from_ticks(1_000_000);
 
-/// Tells samples that say nothing new.
+/// Detects samples without a new measurement.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct StuckSample {
-    /// Since when, and the values to the last bit.
+    /// Time since which the sample repeats, and its values to the last bit.
     last: Option<(Time, [u64; 6])>,
 }
 
 impl StuckSample {
-    /// Whether a sample repeats the one before, as all have for too long.
+    /// Whether a sample repeats the one before, and this has lasted too long.
     pub fn is_stuck(&mut self, stamp: Time, imu: &Imu) -> bool {
         let ([a, b, c], [d, e, f]) = (imu.linear_acceleration, imu.angular_velocity);
         let values = [a, b, c, d, e, f].map(f64::to_bits);

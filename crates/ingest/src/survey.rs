@@ -1,4 +1,4 @@
-//! A first look at a recording: topics, frames, rates, clocks and what the sensors are like.
+//! Surveys the beginning of a recording: topics, frames, rates, clocks and properties of the sensors.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -14,17 +14,21 @@ use crate::repeats::read_without_repeats;
 use crate::statistics::{ImuSampler, ImuStatistics, RangeSampler, RangeStatistics};
 use crate::tf::{TfInput, TfTree, frame_name};
 
-/// The look ends after this much of the recording …
+/// Duration of the recording after which the survey ends.
 const LOOK: Duration = Duration::from_ticks(20 * 10_000_000);
-/// … or this much if enough scans or clouds were seen.
+/// Duration after which the survey ends if it has seen enough scans or clouds.
 const SHORT_LOOK: Duration = Duration::from_ticks(2 * 10_000_000);
+/// Number of scans that is enough.
 const ENOUGH_SCANS: u64 = 40;
+/// Number of clouds that is enough.
 const ENOUGH_CLOUDS: u64 = 15;
-/// So many clouds without times may have to be seen until the sensor moves.
+/// Maximum number of clouds that are awaited until the skew is determined, as the sensor may stand at first.
 const MOST_CLOUDS: u64 = 100;
+/// Maximum number of messages of the survey.
 const MAX_MESSAGES: u64 = 200_000;
-/// So many messages of topics that begin later are looked at.
+/// Maximum number of messages read for topics that begin later.
 const MAX_LATE_MESSAGES: u64 = 2000;
+/// Maximum number of intervals and lags kept for each topic.
 const MAX_SAMPLES: usize = 2000;
 
 /// What is known about one topic.
@@ -42,19 +46,19 @@ pub struct TopicSurvey {
     pub interval: Option<f64>,
     /// Median of the time of recording minus stamp; zero if stamps are not set.
     pub lag: Option<Duration>,
-    /// What the scanner is like.
+    /// Properties of the range sensor.
     pub range: Option<RangeStatistics>,
-    /// What the times of points mean.
+    /// Meaning of the times of points.
     pub point_time: Option<PointTime>,
     /// Metres in one unit of the coordinates of clouds: 0.001 where they are in millimetres.
     pub length_unit: f32,
-    /// Whether clouds have a field of times at all, whatever it says.
+    /// Whether clouds have a field of times at all, whatever its values.
     pub has_time_field: bool,
-    /// What the IMU is like.
+    /// Properties of the IMU.
     pub imu: Option<ImuStatistics>,
 }
 
-/// What is known about a recording before it is read.
+/// Survey of a recording, made before it is read as a whole.
 #[derive(Clone, Debug)]
 pub struct Inventory {
     /// All topics in ascending order.
@@ -62,9 +66,9 @@ pub struct Inventory {
     /// Static transforms of the whole recording and of the robot description, moving ones of the first
     /// look.
     pub tree: TfTree,
-    /// What was wrong with static transforms and the robot description.
+    /// Faults of static transforms and of the robot description.
     pub issues: Vec<Issue>,
-    /// What was wrong with the moving transforms of the first look.
+    /// Faults of the moving transforms of the first look.
     pub moving_issues: Vec<Issue>,
     /// First time of recording.
     pub first_time: Option<Time>,
@@ -83,7 +87,7 @@ struct TopicLook {
     imu: Option<ImuSampler>,
 }
 
-/// Whether messages of the type are of use.
+/// Whether messages of the type are used.
 pub(crate) fn is_understood(type_name: &str) -> bool {
     is_range(type_name)
         || is_tf(type_name)
@@ -111,7 +115,7 @@ pub fn is_tf(type_name: &str) -> bool {
 }
 
 impl Inventory {
-    /// Looks at the first 20 s at most (and at all static transforms).
+    /// Surveys at most the first 20 s, and all static transforms.
     ///
     /// # Errors
     /// If the recording cannot be read.
@@ -173,7 +177,7 @@ fn read_static_transforms(
     Ok(())
 }
 
-/// The look while it goes on.
+/// Survey in progress.
 struct Look {
     topics: Vec<TopicInfo>,
     looks: BTreeMap<Arc<str>, TopicLook>,
@@ -188,7 +192,7 @@ impl Look {
         Self { topics, looks, first_time: None, messages: 0 }
     }
 
-    /// Takes a message; returns whether enough was seen.
+    /// Adds a message; returns whether the survey has seen enough.
     fn add(&mut self, topic: &Arc<str>, log_time: Time, message: &Message) -> bool {
         let first = *self.first_time.get_or_insert(log_time);
         let elapsed = log_time - first;

@@ -1,23 +1,24 @@
-//! Stamps of sweeps whose points have times of their own, where these stamps jitter.
+//! Corrects jittering stamps of sweeps whose points have times of their own.
 //!
-//! The head of a spinning lidar begins a revolution when it has ended the last one. Sweeps that overlap in time therefore
-//! show that their stamps are off, as those of computers are that stamp what arrives: each of them is moved to where the
-//! steady turning of the head puts it.
+//! The head of a spinning lidar begins a revolution when it has ended the last one. Sweeps that overlap in
+//! time therefore show that their stamps are wrong, like those of computers that stamp messages on arrival.
+//! Each stamp is then moved to the time that follows from the steady rotation of the head.
 
 use portolan_geometry::{Duration, Time};
 
 use crate::turn_clock::TurnClock;
 
-/// A sweep covers at least this fraction of a revolution, or nothing can be said.
+/// Minimum fraction of a revolution that a sweep covers for its overlap to count.
 const WHOLE: f64 = 0.8;
-/// Sweeps overlap if they do so by more than this fraction of a revolution; less is rounding, or a head that
-/// turns a bit farther than once.
+/// Overlap of sweeps, as a fraction of a revolution, above which it counts; less is rounding, or a head that
+/// turns a little more than once.
 const OVERLAP: f64 = 0.02;
-/// So many overlaps, and in so large a fraction of sweeps, are no accident.
+/// Minimum number of overlaps before stamps are corrected.
 const ENOUGH: u32 = 3;
+/// Minimum fraction of sweeps that overlap before stamps are corrected.
 const OFTEN: f64 = 0.1;
 
-/// Follows the sweeps of one lidar.
+/// Checks the sweeps of one lidar.
 #[derive(Clone, Debug)]
 pub(crate) struct SweepStamps {
     clock: TurnClock,
@@ -28,20 +29,20 @@ pub(crate) struct SweepStamps {
 }
 
 impl SweepStamps {
-    /// Of a lidar that turns once in about so many seconds.
+    /// `period`: approximate duration of a revolution, seconds.
     pub fn new(period: f64) -> Self {
         Self { clock: TurnClock::new(period), last_end: None, sweeps: 0, overlaps: 0, jitters: false }
     }
 
-    /// What is to be added to the times of the points of the next sweep, which last from `begin` to `end` by its stamp; none
-    /// while stamps are believed.
+    /// Correction to be added to the times of the points of the next sweep, which lasts from `begin` to `end`
+    /// by its stamp; none while stamps are trusted.
     pub fn correction(&mut self, stamp: Time, begin: Time, end: Time) -> Option<Duration> {
         let smooth = self.clock.smooth(stamp);
         let period = self.clock.period();
         let is_whole = end.seconds_since(begin) >= WHOLE * period;
         let overlap = self.last_end.replace(end).map_or(0.0, |last| last.seconds_since(begin));
         self.sweeps += 1;
-        // What overlaps by more than half of a turn came twice, or its clock went back.
+        // An overlap of more than half of a turn comes from a repeated sweep or a clock that went back.
         self.overlaps += u32::from(is_whole && (OVERLAP * period..0.5 * period).contains(&overlap));
         self.jitters |= self.overlaps >= ENOUGH && f64::from(self.overlaps) >= OFTEN * f64::from(self.sweeps);
         self.jitters.then(|| smooth - stamp)
@@ -56,8 +57,8 @@ mod tests {
         Time::from_unix_seconds(1e9) + Duration::from_seconds(seconds)
     }
 
-    /// By how much corrected stamps of sweeps that last so many seconds are off, and whether they were corrected; they came off
-    /// by up to `jitter` seconds.
+    /// Errors of the corrected stamps of sweeps that last `seconds`, and whether they were corrected; the stamps came
+    /// with errors of up to `jitter` seconds.
     fn corrected(seconds: f64, jitter: f64) -> Vec<(f64, bool)> {
         let mut stamps = SweepStamps::new(0.1);
         let off = |k: u32| jitter * (f64::from(k * 7919 % 101) / 50.0 - 1.0);

@@ -8,7 +8,7 @@ use portolan_sensor::TimedPoint;
 pub struct TimedPoints {
     /// Time of the last point.
     pub time: Time,
-    /// In order of time; times count to that of the last point and are at most zero.
+    /// In order of time. Times are relative to that of the last point and at most zero.
     pub points: Vec<TimedPoint>,
     /// One per point, or empty.
     pub intensities: Vec<f32>,
@@ -24,8 +24,8 @@ impl TimedPoints {
         }
     }
 
-    /// Turns times that count from `stamp` into times that count to the last point, and puts the
-    /// points in order of time (points of the same time stay as they are).
+    /// Makes times relative to the last point instead of `stamp`, and sorts the points by time (points of the
+    /// same time keep their order).
     pub(crate) fn rebase(&mut self, stamp: Time) {
         if !self.points.is_sorted_by(|a, b| a.time <= b.time) {
             self.sort();

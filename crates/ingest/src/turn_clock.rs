@@ -1,18 +1,19 @@
-//! When the turns of a spinning lidar were, from stamps that jitter.
+//! Estimates the times of the turns of a spinning lidar from stamps that jitter.
 //!
-//! The head of a spinning lidar has inertia: one revolution takes as long as the last one. What stamps differ from that is
-//! the doing of whoever stamped: a camera that triggers, a clock of 10 ms, a busy computer. A turn whose points get
-//! their times from it must not begin before the last one ended, so stamps are smoothed by a filter of time and
-//! period with growing, then fading memory (Morrison 1969, Introduction to Sequential Smoothing and Prediction,
-//! polynomial filters of degree 1).
+//! The head of a spinning lidar has inertia: one revolution takes as long as the last one. Deviations of the
+//! stamps come from the source of the stamps: a camera that triggers, a clock of 10 ms, a busy computer. A
+//! turn whose points get their times from its stamp must not begin before the last one ended. So stamps are
+//! smoothed by a filter of time and period with growing, then fading memory (Morrison 1969, Introduction to
+//! Sequential Smoothing and Prediction, polynomial filters of degree 1).
 
 use portolan_geometry::{Duration, Time};
 
-/// The memory grows to so many turns.
+/// Maximum memory of the filter, turns.
 const MEMORY: f64 = 30.0;
-/// Stamps that are farther off than this fraction of a revolution belong to another one, or say something.
+/// Deviation of a stamp, as a fraction of a revolution, above which it belongs to another revolution, or to a
+/// real change. The filter then restarts.
 const JITTER: f64 = 0.25;
-/// After so many missing turns time is counted anew.
+/// Number of missing turns from which the filter restarts.
 const MAX_MISSING: f64 = 20.0;
 
 /// Time and period of revolutions.
@@ -25,17 +26,17 @@ pub(crate) struct TurnClock {
 }
 
 impl TurnClock {
-    /// With turns that take about so many seconds.
+    /// `period`: approximate duration of a turn, seconds.
     pub fn new(period: f64) -> Self {
         Self { period, last: None, turns: 0.0 }
     }
 
-    /// Seconds of a revolution, as known by now.
+    /// Current estimate of the duration of a revolution, seconds.
     pub fn period(&self) -> f64 {
         self.period
     }
 
-    /// The time of the turn that has this stamp.
+    /// Smoothed time of the turn that has this stamp.
     pub fn smooth(&mut self, stamp: Time) -> Time {
         let since = self.last.map_or(f64::INFINITY, |last| stamp.seconds_since(last));
         let passed = (since / self.period).round();
@@ -49,7 +50,8 @@ impl TurnClock {
         let of_time = 2.0 * (2.0 * n - 1.0) / (n * (n + 1.0));
         let of_period = 6.0 / (n * (n + 1.0));
         let time = stamp - Duration::from_seconds((1.0 - of_time) * late);
-        // The first interval tells less of the period than many before the recording was read.
+        // The first interval says less about the period than the many intervals from which it was known
+        // before reading.
         if n > 2.0 {
             self.period += of_period * late / passed;
         }

@@ -10,11 +10,11 @@ use roxmltree::{Document, Node, ParsingOptions};
 
 use crate::tf::{TfTree, frame_name};
 
-/// Descriptions larger than this are refused.
+/// Maximum size of a description, bytes.
 const MAX_BYTES: u64 = 16 << 20;
-/// XML nested deeper than this is refused.
+/// Maximum nesting depth of the XML.
 const MAX_DEPTH: usize = 200;
-/// So are more elements and texts than this: each takes some hundred bytes while the document is read.
+/// Maximum number of elements and texts: each takes some hundred bytes while the document is read.
 const MAX_NODES: u32 = 1_000_000;
 /// Types of joints that move (`urdf` of ROS).
 const MOVING: [&str; 6] = ["revolute", "continuous", "prismatic", "floating", "planar", "spherical"];
@@ -30,7 +30,7 @@ pub struct FixedJoint {
     pub parent_from_child: Rigid3,
 }
 
-/// What a robot description says about frames.
+/// Frames and joints of a robot description.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RobotDescription {
     /// Fixed joints in the order of the file.
@@ -61,7 +61,7 @@ fn described(path: &Path, detail: &str) -> RecordingError {
     RecordingError::Description { detail: format!("{}: {detail}", path.display()) }
 }
 
-/// Understands the text of a URDF file; the error says what to do.
+/// Parses the text of a URDF file; the error says what to do.
 ///
 /// # Errors
 /// If the text is no URDF: xacro that is not expanded, no valid XML, or another kind of document.
@@ -85,7 +85,7 @@ pub fn parse_urdf(text: &str, is_xacro: bool) -> Result<RobotDescription, String
         return Err(format!("it is no URDF: it begins with <{}>, not with <robot>", root.tag_name().name()));
     }
     let mut description = RobotDescription::default();
-    // Transmissions and extensions of simulators have elements of the same name inside, which are no joints.
+    // Transmissions and extensions of simulators contain elements of the same name, which are not joints.
     for joint in root.children().filter(|node| node.has_tag_name("joint")) {
         description.add(joint)?;
     }
@@ -100,7 +100,7 @@ fn three_numbers(element: Option<Node<'_, '_>>, attribute: &str) -> Option<[f64;
 }
 
 impl RobotDescription {
-    /// Takes one joint.
+    /// Adds one joint.
     fn add(&mut self, joint: Node<'_, '_>) -> Result<(), String> {
         let name = joint.attribute("name").unwrap_or_default();
         let kind = joint.attribute("type").ok_or_else(|| format!("joint \"{name}\" has no type"))?;
@@ -130,7 +130,7 @@ impl RobotDescription {
         Ok(())
     }
 
-    /// Takes the fixed joints into a tree; what it gives are those that do not fit.
+    /// Adds the fixed joints to a tree; returns an issue for each one that conflicts with it.
     pub fn insert_into(&self, tree: &mut TfTree) -> Vec<Issue> {
         self.fixed_joints
             .iter()

@@ -1,9 +1,10 @@
-//! Knowing that it is lost: sweeps that fit the map far worse than those before them did, or that fit nothing while no sensor
-//! tells how it moved.
+//! Detects that the pose is lost: sweeps fit the map far worse than those before them did, or they fit
+//! nothing while no sensor measures the motion.
 //!
-//! What a sweep should look like at its place is told by the sweeps before it: places change slowly from one to the next. A
-//! sweep of another place lies on planes by chance alone: fewer points do, and those that do lie all over the width of the
-//! loss. A sweep that sees something new through a door has fewer points on planes, too, but they lie where planes are.
+//! The expected fit of a sweep is that of the sweeps before it, since surroundings change slowly from one
+//! to the next. A sweep of another place is on planes by chance alone: fewer points are, and those are
+//! spread over the whole width of the loss. A sweep that sees something new through a door has fewer
+//! points on planes, too, but they are close to the planes.
 
 use std::collections::VecDeque;
 
@@ -12,7 +13,7 @@ use portolan_numeric::median;
 
 use crate::settings::LossSettings;
 
-/// What is believed of the pose.
+/// State of trust in the pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) enum PoseBelief {
     /// Sweeps fit the map.
@@ -22,35 +23,35 @@ pub(crate) enum PoseBelief {
     Doubtful {
         /// End of the first one.
         since: Time,
-        /// How many there were.
+        /// Number of these sweeps.
         sweeps: usize,
     },
-    /// The pose is not known any more.
+    /// The pose is lost.
     Lost {
         /// End of the first sweep that contradicted the map.
         since: Time,
     },
 }
 
-/// How a sweep fits planes.
+/// Fit of a sweep to planes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct SweepFit {
-    /// Fraction of the points on planes, less if they lie far off; 0 where it fits nothing.
+    /// Fraction of the points on planes, reduced by their distance from them; 0 where it does not fit.
     pub fit: f64,
-    /// Root mean square distance of points from their planes, metres; none where it fits nothing.
+    /// Root mean square distance of points from their planes, metres; none where it does not fit.
     pub rms: Option<f64>,
 }
 
-/// What the pose at the end of a sweep is based on.
+/// Measurements that support the pose at the end of a sweep.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Support {
     pub fit: SweepFit,
-    /// Whether odometry, an accelerometer, a zero-velocity update or another map tells how it moved.
+    /// Whether odometry, an accelerometer, a zero-velocity update or another map measures the motion.
     pub is_measured: bool,
 }
 
 impl Support {
-    /// Whether nothing tells where it is: it is assumed to have gone on as before.
+    /// Whether the pose is unmeasured: constant velocity is assumed.
     fn is_guess(&self) -> bool {
         self.fit.rms.is_none() && !self.is_measured
     }
@@ -60,7 +61,7 @@ impl Support {
 #[derive(Clone, Debug)]
 pub(crate) struct FitMonitor {
     settings: LossSettings,
-    /// Of the last sweeps that fitted.
+    /// Fits of the last sweeps that fitted.
     recent: VecDeque<SweepFit>,
     /// Which of the last sweeps were guesses.
     guesses: VecDeque<bool>,
@@ -73,7 +74,8 @@ impl FitMonitor {
         Self { settings: settings.clone(), recent, guesses, belief: PoseBelief::Sure }
     }
 
-    /// What is believed after one more sweep. A map that is warming up fits whatever it was made of: nothing is usual yet.
+    /// State after one more sweep. A map that is warming up fits whatever it was made of: there is no
+    /// usual fit yet.
     pub fn after(&mut self, end: Time, support: Support, is_warming_up: bool) -> PoseBelief {
         let is_chance = self.is_chance(&support);
         if is_warming_up && !is_chance {
@@ -103,8 +105,8 @@ impl FitMonitor {
         self.belief
     }
 
-    /// Whether so many of the last sweeps were guesses that one that fits is chance. A few are none: sparse sweeps have to be
-    /// added up before there are planes.
+    /// Whether so many of the last sweeps were guesses that one that fits does so by chance. A few guesses
+    /// do not count: sparse sweeps have to be accumulated before there are planes.
     fn is_chance(&mut self, support: &Support) -> bool {
         self.guesses.push_back(support.is_guess());
         if self.guesses.len() > self.settings.sweeps {
@@ -114,8 +116,8 @@ impl FitMonitor {
         2 * guesses > self.settings.sweeps
     }
 
-    /// Whether a sweep fits so much worse than those before it, and lies off planes, that it contradicts the map: it moved otherwise
-    /// than predicted, or is elsewhere.
+    /// Whether a sweep contradicts the map: it fits much worse than those before it, and its points are
+    /// off the planes. It moved differently than predicted, or is elsewhere.
     pub fn is_poor(&self, fit: &SweepFit) -> bool {
         let settings = &self.settings;
         if self.recent.len() < settings.sweeps {
@@ -135,7 +137,7 @@ mod tests {
 
     use super::*;
 
-    /// What is believed after sweeps that fit so well, ten a second.
+    /// State after sweeps with these fits, ten a second.
     fn believed(fits: &[(f64, f64)]) -> Vec<PoseBelief> {
         let mut monitor = FitMonitor::new(&LossSettings::default());
         let at = |i: usize| Time::from_ticks(0) + Duration::from_seconds(0.1 * i as f64);
@@ -159,11 +161,11 @@ mod tests {
     #[test]
     fn a_door_a_single_sweep_and_open_country_are_none() {
         let sure = |fits: &[(f64, f64)]| believed(fits).iter().all(|b| *b == PoseBelief::Sure);
-        // A new room: few points on planes, but they lie there.
+        // A new room: few points on planes, but close to them.
         assert!(sure(&[&[(0.5, 0.03); 20][..], &[(0.15, 0.04); 30]].concat()));
-        // Among trees hardly anything is flat.
+        // Among trees there are hardly any planes.
         assert!(sure(&[&[(0.08, 0.09); 20][..], &[(0.0, 0.0); 30]].concat()));
-        // At the beginning nothing is usual.
+        // At the beginning there is no usual fit.
         assert!(sure(&[&[(0.5, 0.03); 5][..], &[(0.05, 0.13); 30]].concat()[..7]));
         let beliefs = believed(&[&[(0.4, 0.065); 20][..], &[(0.05, 0.13); 9], &[(0.4, 0.065); 2]].concat());
         assert!(beliefs.iter().all(|b| !matches!(b, PoseBelief::Lost { .. })));

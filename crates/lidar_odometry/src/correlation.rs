@@ -1,9 +1,10 @@
-//! Where one sweep may lie in another when nothing is known of the motion: every shift and heading is tried, and scored by
-//! how much of what stands upright is met again (correlative scan matching: Olson, "Real-Time Correlative Scan Matching",
-//! ICRA 2009, here on columns of voxels).
+//! Correlates two sweeps without a prior of the motion: every shift and heading is tried, and scored by
+//! the fraction of upright structures that is met again (correlative scan matching: Olson, "Real-Time
+//! Correlative Scan Matching", ICRA 2009, here on columns of voxels).
 //!
-//! Nearest neighbours do not tell: the rings in which beams meet the ground, and the lines that they draw along a wall, move
-//! with the scanner, and hold it where it was. What reaches some way up does not.
+//! Nearest neighbours do not measure the motion: the rings in which beams hit the ground, and the lines
+//! that they make along a wall, move with the scanner, and hold it at its old position. Structures of some
+//! height do not.
 
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Point3f, Rigid3, Vector3, quaternion_from_angle_axis, to_f32};
@@ -12,13 +13,13 @@ use portolan_numeric::median;
 use crate::settings::CorrelationSettings;
 
 impl CorrelationSettings {
-    /// Height of voxels, metres. What stands upright has points in its column that are two to four voxels higher or lower:
-    /// less than a car is high, more than slopes rise in a column.
+    /// Height of voxels, metres. A point is upright if its column has points two to four voxels higher or
+    /// lower: less than the height of a car, more than slopes rise in a column.
     fn layer(&self) -> f32 {
         0.5 * self.cell
     }
 
-    /// The layer at a height, metres, and parts of it.
+    /// The layer at a height, metres, with its fraction.
     pub(crate) fn layer_at(&self, height: f64) -> f64 {
         (height as f32 / self.layer() + 0.5 * LAYERS).into()
     }
@@ -29,10 +30,10 @@ impl CorrelationSettings {
     }
 }
 
-/// Layers of a column of voxels, one bit each.
+/// Number of layers of a column of voxels, one bit each.
 const LAYERS: f32 = 64.0;
 
-/// A place of one sweep in another, and how much of what stands upright is met again there.
+/// A pose of one sweep in another, and the fraction of upright structures that is met again there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Peak {
     pub pose: Rigid3,
@@ -40,7 +41,7 @@ pub(crate) struct Peak {
     pub share: f64,
 }
 
-/// Where places are looked for: all shifts up to `linear` metres along x and y, all headings up to `angular` radians.
+/// Search window: all shifts up to `linear` metres along x and y, all headings up to `angular` radians.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Window {
     pub linear: f64,
@@ -48,23 +49,23 @@ pub(crate) struct Window {
 }
 
 impl Window {
-    /// How far a platform may have come in so many seconds.
+    /// Window that covers the motion of a platform over this time, seconds.
     pub fn after(seconds: f64, rotation_is_measured: bool, settings: &CorrelationSettings) -> Self {
         let linear = (settings.fastest * seconds).min(settings.farthest);
         Self { linear, angular: if rotation_is_measured { 0.0 } else { settings.widest } }
     }
 }
 
-/// What a sweep saw, as what stands upright in other sweeps is looked for in it.
+/// The columns of a sweep, in which upright structures of other sweeps are searched.
 pub(crate) struct CorrelationReference<'a> {
     settings: &'a CorrelationSettings,
     columns: Columns,
 }
 
 impl<'a> CorrelationReference<'a> {
-    /// Of points (metres) in a frame at the scanner that is about level.
+    /// Reference of points (metres) in a frame at the scanner that is about level.
     pub fn new(points: &[Point3f], settings: &'a CorrelationSettings) -> Self {
-        // Beyond the edge there is nothing, however a sweep is shifted.
+        // The range covers all shifts of a sweep.
         let range = settings.range + settings.farthest as f32 + settings.cell;
         let mut columns = Columns::of(points, settings.cell, range, [0.0; 2], settings);
         // A platform rises and sinks a little between sweeps.
@@ -80,14 +81,14 @@ impl<'a> CorrelationReference<'a> {
         &self.columns
     }
 
-    /// Where another sweep, whose points are given alike, may lie around an initial pose: the best place first, then other
-    /// local maxima that are nearly as good, and the initial pose itself where nothing is clearly better. None where hardly
-    /// anything stands upright.
+    /// Poses of another sweep, whose points are in such a frame, too, around an initial pose: the best one
+    /// first, then other local maxima that are nearly as good, and the initial pose itself where no other
+    /// is clearly better. None where there are hardly any upright structures.
     pub fn peaks(&self, points: &[Point3f], initial: &Rigid3, window: Window) -> Vec<Peak> {
         let settings = self.settings;
         let upright = upright(points, settings);
         let mut scores = Scores::new(window.linear, settings.cell);
-        // By so much half of the points move by less than a cell.
+        // A rotation by this step moves half of the points by less than a cell.
         let mut distances: Vec<f64> = upright.iter().map(|p| f64::from(p.x.hypot(p.y))).collect();
         let step =
             f64::from(settings.cell) / median(&mut distances).unwrap_or(0.0).max(f64::from(settings.cell));
@@ -109,14 +110,14 @@ fn turned(initial: &Rigid3, heading: f64) -> portolan_geometry::Quaternion {
     quaternion_from_angle_axis(&(Vector3::z() * heading)) * initial.rotation
 }
 
-/// The points above or below which there are others a little way off: walls, trunks, cars, but neither the ground nor a
-/// ceiling. Far points are left out.
+/// The upright points, with others a little above or below them: walls, trunks, cars, but neither the
+/// ground nor a ceiling. Far points are left out.
 pub(crate) fn upright(points: &[Point3f], settings: &CorrelationSettings) -> Vec<Point3f> {
     let below_others = |all: u64| all >> 2 | all >> 3 | all >> 4;
     in_columns(points, |all| all & (two_to_four_above(all) | below_others(all)), settings)
 }
 
-/// The upper ones of these: below them there are others a little way off.
+/// The upper ones of these: with others a little below them.
 pub(crate) fn above_others(points: &[Point3f], settings: &CorrelationSettings) -> Vec<Point3f> {
     in_columns(points, |all| all & two_to_four_above(all), settings)
 }
@@ -125,7 +126,7 @@ fn two_to_four_above(mask: u64) -> u64 {
     mask << 2 | mask << 3 | mask << 4
 }
 
-/// The points in those layers of wide columns that are picked.
+/// The points in the layers of wide columns that `pick` selects.
 fn in_columns(points: &[Point3f], pick: impl Fn(u64) -> u64, settings: &CorrelationSettings) -> Vec<Point3f> {
     let edge = 2.0 * settings.cell;
     let mut columns = Columns::of(points, edge, settings.range, [0.0; 2], settings);
@@ -145,7 +146,7 @@ pub(crate) struct Columns {
 }
 
 impl Columns {
-    /// Of points up to a range to each side, moved by fractions of a column.
+    /// Columns of points up to a range to each side, moved by fractions of a column.
     pub fn of(
         points: &[Point3f],
         edge: f32,
@@ -177,7 +178,7 @@ impl Columns {
         self.masks.get(column).copied().unwrap_or(0)
     }
 
-    /// Columns in which there is something: their centres, metres, and layers.
+    /// Columns that are not empty: their centres, metres, and layers.
     pub fn filled(&self) -> impl Iterator<Item = (na::Vector2<f64>, u64)> {
         let (edge, half) = (f64::from(self.edge), 0.5 * f64::from(self.side));
         let centre = move |i: i32| (f64::from(i) + 0.5 - half) * edge;
@@ -187,7 +188,8 @@ impl Columns {
         })
     }
 
-    /// Layers of the column around a place that was not moved, those between two beams too; empty outside.
+    /// Layers of the column around a position that was not moved, including those between two beams; empty
+    /// outside.
     pub fn solid_at(&self, place: &na::Vector2<f64>) -> u64 {
         let half = 0.5 * f64::from(self.side);
         let [x, y] = [place.x, place.y].map(|v| v / f64::from(self.edge) + half);
@@ -197,12 +199,12 @@ impl Columns {
         } else {
             0
         };
-        // What lies within a metre of others above and below.
+        // Layers within a metre of others both above and below.
         let near = |shift: fn(u64, u32) -> u64| (1..=4).fold(mask, |near, by| near | shift(mask, by));
         near(|mask, by| mask << by) & near(|mask, by| mask >> by)
     }
 
-    /// Which column, and which bit of it.
+    /// The index of the column of a point, and its bit in the column.
     pub fn voxel(
         &self,
         point: &Point3f,
@@ -219,7 +221,7 @@ impl Columns {
             .then(|| (y as usize * self.side as usize + x as usize, layer as u32))
     }
 
-    /// The columns in which there is something, by their index in a larger grid with the same centre.
+    /// The columns that are not empty, by their index in a larger grid with the same centre.
     fn filled_in(&self, larger: &Columns) -> Vec<(usize, u64)> {
         let margin = (larger.side - self.side) / 2;
         let filled = self.masks.iter().enumerate().filter(|(_, mask)| **mask != 0);
@@ -235,9 +237,9 @@ impl Columns {
 /// The best share and its heading for every shift.
 struct Scores {
     best: Vec<(f64, f64)>,
-    /// Shifts to each side of none.
+    /// Number of shifts to each side of zero.
     reach: i32,
-    /// Metres between shifts.
+    /// Distance between shifts, metres.
     step: f64,
 }
 
@@ -249,7 +251,7 @@ impl Scores {
         Self { best: vec![(0.0, 0.0); side * side], reach, step }
     }
 
-    /// Scores a sweep that was moved by half columns at all shifts by whole ones.
+    /// Scores a sweep that was moved by half a column, or none, at all shifts by whole ones.
     fn add(
         &mut self,
         reference: &Columns,
@@ -296,7 +298,7 @@ impl Scores {
     fn is_maximum(&self, x: i32, y: i32) -> bool {
         let share = self.share(x, y);
         let around = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy))).filter(|at| *at != (0, 0));
-        // Of a plateau the first counts.
+        // Of a plateau only the first one counts.
         around.into_iter().all(|(dx, dy)| {
             let other = self.share(x + dx, y + dy);
             if (dy, dx) < (0, 0) { share > other } else { share >= other }

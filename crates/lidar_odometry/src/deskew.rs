@@ -1,4 +1,4 @@
-//! De-skewing: every point of a sweep is moved to where it is seen from the end of the sweep.
+//! De-skewing: every point of a sweep is moved to its position as seen at the end of the sweep.
 
 use nalgebra as na;
 use portolan_geometry::{Point3f, Rigid3};
@@ -6,11 +6,11 @@ use portolan_sensor::{PointCloud, RangeData};
 
 use crate::sweep::SweepPoint;
 
-/// A rotation matrix and a translation: the images of the axes, and of the origin. With a fourth number, a column is one
-/// vector instruction.
+/// A rotation matrix and a translation: the images of the axes, and of the origin. With a fourth number a
+/// column is one vector instruction.
 type Columns = [[f32; 4]; 4];
 
-/// Transforms from the scanner to another frame, evenly spaced in time, and linear between.
+/// Transforms from the scanner to another frame, evenly spaced in time, and linear in between.
 #[derive(Clone, Debug)]
 pub struct PiecewiseLinearTrajectory {
     per_second: f32,
@@ -18,14 +18,15 @@ pub struct PiecewiseLinearTrajectory {
 }
 
 impl PiecewiseLinearTrajectory {
-    /// Of poses so many seconds apart, at least one.
+    /// Trajectory of poses with this spacing, seconds; at least one pose.
     pub(crate) fn new(spacing: f64, poses: impl Iterator<Item = Rigid3>) -> Self {
         let columns = |pose: Rigid3| pose.to_homogeneous().cast::<f32>().data.0;
         Self { per_second: (1.0 / spacing.max(1e-9)) as f32, knots: poses.map(columns).collect() }
     }
 
-    /// The ray of a point that was measured `time` seconds from the end (not positive): from the scanner to the point,
-    /// and the place of the scanner, both in the other frame. Times before the first knot count as that.
+    /// The ray of a point that was measured `time` seconds from the end (not positive): from the scanner
+    /// to the point, and the position of the scanner, both in the other frame. Times before the first knot
+    /// are clamped to it.
     #[inline]
     pub(crate) fn ray(&self, position: &Point3f, time: f32) -> (na::Vector3<f32>, na::Vector3<f32>) {
         let last = self.knots.len() - 1;
@@ -81,7 +82,7 @@ mod tests {
     use super::*;
     use crate::segment::{SegmentCorrection, TrajectorySegment};
 
-    /// Speeding up along x with 4 m/s², turning with 2 rad/s about z.
+    /// Accelerates along x with 4 m/s², rotates with 2 rad/s about z.
     fn truth(t: f64) -> Rigid3 {
         Rigid3::new(Vector3::new(t + 2.0 * t * t, 0.0, 0.0), Vector3::z() * (2.0 * t))
     }
@@ -90,7 +91,7 @@ mod tests {
     fn points_come_to_where_they_are_seen_from_the_end() {
         let start = Time::from_ticks(0);
         let end = start + Duration::from_seconds(0.1);
-        // The velocity of the sweep before.
+        // The velocity of the previous sweep.
         let velocity = (truth(0.0).translation.vector - truth(-0.1).translation.vector) / 0.1;
         let mut segment = TrajectorySegment::new(start, end, |t| {
             let t = t.seconds_since(start);

@@ -1,9 +1,9 @@
-//! A gap: no sweeps came for a while, and nothing measured the motion meanwhile.
+//! Handles gaps: no sweeps came for a while, and no sensor measured the motion meanwhile.
 //!
-//! Constant velocity says less the longer a gap is. As at the start of a trajectory, the first two sweeps after it tell how
-//! fast the platform moves then, with several hypotheses where that is not clear. Between the velocity before the gap and
-//! the one after it, velocity changed evenly, as likely as not. Each hypothesis is followed over the sweeps after the gap,
-//! and the one under which they fit the map best counts.
+//! The longer a gap is, the less certain is constant velocity. As at the start of a trajectory, the first
+//! two sweeps after it determine the velocity then, with several hypotheses where that is ambiguous.
+//! Between the velocity before the gap and that after it a constant acceleration is assumed. Sweeps after
+//! the gap are tracked with each hypothesis, and the one under which they fit the map best is accepted.
 
 use portolan_geometry::{
     Duration, Quaternion, Rigid3, Time, Vector3, angle_axis_from_quaternion, quaternion_from_angle_axis,
@@ -27,24 +27,24 @@ pub(crate) struct Velocities {
     pub angular: Vector3,
 }
 
-/// How the platform may have moved in a gap: its velocity changed evenly.
+/// Hypothesis of the motion in a gap: constant acceleration.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct GapMotion {
     before: Velocities,
     pub after: Velocities,
 }
 
-/// What is done with the next sweep.
+/// Treatment of the next sweep.
 pub(crate) enum NextSweep {
     /// It waits for the sweeps after it.
     Waits,
-    /// It is registered where it is predicted.
+    /// It is registered from its prediction.
     AsPredicted,
-    /// It is registered where this motion leads.
+    /// It is registered from the pose that this motion leads to.
     After(GapMotion),
 }
 
-/// Decides what is done with the first of these sweeps. `is_ended`: no more will come.
+/// Decides how the first of these sweeps is treated. `is_ended`: no more will come.
 pub(crate) fn next_sweep(
     tracker: &Tracker,
     settings: &OdometrySettings,
@@ -69,7 +69,7 @@ pub(crate) fn next_sweep(
     best(tracker, settings, &sweeps[..sweeps.len().min(judges)], motions)
 }
 
-/// The motion under which the sweeps fit best; first of all constant velocity.
+/// The motion under which the sweeps fit best; constant velocity is the first hypothesis.
 fn best(
     tracker: &Tracker,
     settings: &OdometrySettings,
@@ -87,7 +87,7 @@ fn best(
 }
 
 impl Velocities {
-    /// With which a segment begins.
+    /// Velocities at the start of a segment.
     pub fn at_start_of(segment: &TrajectorySegment) -> Self {
         let (motion, seconds) = segment.first_motion();
         let seconds = seconds.max(1e-9);
@@ -97,7 +97,7 @@ impl Velocities {
         }
     }
 
-    /// What the first two sweeps after a gap say, the most likely first.
+    /// Velocities by the first two sweeps after a gap, the most likely first.
     fn after(tracker: &Tracker, settings: &OdometrySettings, sweeps: &[Sweep]) -> Vec<Self> {
         let Some(first) = sweeps.first() else { return Vec::new() };
         let measured = tracker.motion().measured_rotation();
@@ -122,7 +122,7 @@ impl Velocities {
         }
     }
 
-    /// The pose so many seconds before another one.
+    /// The pose at this time before another one, seconds.
     pub fn earlier(&self, local_from_tracking: &Rigid3, seconds: f64) -> Rigid3 {
         let back = quaternion_from_angle_axis(&(self.angular * -seconds));
         local_from_tracking * Rigid3::from_parts((self.linear * -seconds).into(), back)
@@ -130,8 +130,8 @@ impl Velocities {
 }
 
 impl GapMotion {
-    /// A predicted segment, moved as this motion says; turned so, too, unless a gyroscope measured the rotation. Only the
-    /// heading turns: a platform that rolls and pitches comes back.
+    /// A predicted segment with this motion; its rotation, too, unless a gyroscope measured it. Only the
+    /// heading changes, since a platform that rolls and pitches comes back.
     pub fn applied_to(&self, predicted: &TrajectorySegment) -> TrajectorySegment {
         let (start, whole) = (predicted.start(), predicted.seconds().max(1e-9));
         let (mut place, mut rotation): (Vector3, Quaternion) = (start.translation.vector, start.rotation);

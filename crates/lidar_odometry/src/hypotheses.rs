@@ -1,19 +1,21 @@
-//! Hypotheses of the motion, in one list with one rule.
+//! Chooses among hypotheses of the motion, by one rule for all.
 //!
-//! Where the motion is not known there are several: of a single sweep (the prediction, what holds if a sensor fails, what a
-//! correlation with nothing known proposes), of the first sweeps of a trajectory, and of a gap. Each is followed, and the
-//! score is how well the sweeps fit the map then. The first hypothesis is the most likely one before that. Another one is
-//! taken only if it fits clearly better, because along a tunnel all fit alike; among those that do, the best one.
+//! Where the motion is unknown there are several hypotheses: of a single sweep (the prediction, the motion
+//! if a sensor fails, and those that a correlation without prior proposes), of the first sweeps of a
+//! trajectory, and of a gap. Sweeps are registered under each, and its score is their fit to the map. The
+//! first hypothesis is the one with the highest prior probability. Another one is accepted only if it fits
+//! clearly better, because along a tunnel all fit alike; among those that do, the best one is.
 
-/// A hypothesis beside the first one.
+/// An alternative to the first hypothesis.
 pub(crate) struct Other<H> {
     pub motion: H,
-    /// It has to fit so many times better than the first hypothesis.
+    /// Ratio by which its fit has to exceed that of the first hypothesis.
     pub clearly_better: f64,
 }
 
-/// The hypothesis that counts, and what came of it. `first` was followed already; `follow` follows another one, and gives
-/// nothing if that does not fit better than so much, which it may tell early.
+/// The result of the accepted hypothesis. `first` is the result of the first hypothesis. `follow`
+/// evaluates another one; it gives none if that does not fit better than the given limit, and may stop
+/// early.
 pub(crate) fn best<H, F>(
     first: F,
     others: impl IntoIterator<Item = Other<H>>,
@@ -35,7 +37,7 @@ pub(crate) fn best<H, F>(
 mod tests {
     use super::*;
 
-    /// Which one counts of those that fit so well.
+    /// Fit of the accepted hypothesis among these.
     fn chosen(first: f64, others: &[f64]) -> f64 {
         let others = others.iter().map(|fit| Other { motion: *fit, clearly_better: 1.1 });
         best(first, others, |fit| *fit, |fit, _| Some(fit))

@@ -1,8 +1,10 @@
 //! The inertial filter in 3D: pose, velocity, biases and gravity, all in the local map ([`InertialEstimate`]), corrected by sweeps
 //! of a lidar (Xu and Zhang 2021, "FAST-LIO").
 //!
-//! From one sweep to the next the IMU moves the state on. Then the pose at which the sweep was registered corrects all of it, but not along degenerate directions. A platform that starts to move among trees is followed by the
-//! accelerometer long before planes that its own beams drew while it stood let go of it.
+//! The IMU propagates the state from one sweep to the next. The registered pose of the sweep then corrects
+//! all of it, except along degenerate directions. When a platform starts to move among trees, the
+//! accelerometer shows this long before registration does: planes made by its own beams while it stood
+//! still hold it at its old position.
 
 #[cfg(test)]
 mod tests;
@@ -31,50 +33,50 @@ pub(crate) struct InertialPrediction {
     measured: Preintegrated,
 }
 
-/// Where the filter begins, or begins anew after what it did not follow.
+/// State in which the filter begins, or is reset after motion that it did not follow.
 pub(crate) struct InertialStart {
-    /// Tracking in local.
+    /// Pose of the tracking frame in the local map.
     pub local_from_tracking: Rigid3,
     /// m/s, in the local map.
     pub velocity: Vector3,
-    /// The strength of what the accelerometer measures, m/s², if it is at rest.
+    /// Norm of the specific force that the accelerometer measures, m/s², if it is at rest.
     pub force_at_rest: Option<f64>,
 }
 
-/// What a registered sweep says of the pose at its end.
+/// Pose measurement at the end of a registered sweep.
 pub(crate) struct PoseMeasurement<'a> {
-    /// Tracking in local.
+    /// Pose of the tracking frame in the local map.
     pub local_from_tracking: &'a Rigid3,
-    /// Along and about which it says nothing, in the local map.
+    /// Directions along and about which it does not constrain, in the local map.
     pub degenerate: &'a DegenerateDirections,
-    /// Covariance of what attenuation may keep the place off by, m². None where the sweep fits nothing.
+    /// Covariance of the position error by attenuation, m². None where the sweep does not fit.
     pub attenuation: Option<na::Matrix3<f64>>,
-    /// Whether the rotation tells something that the gyroscope does not know.
+    /// Whether the rotation adds information to that of the gyroscope.
     pub tells_rotation: bool,
-    /// Whether the gyroscope measured the rotation from the last sweep on.
+    /// Whether the gyroscope measured the rotation since the last sweep.
     pub gyroscope_holds: bool,
-    /// Whether the platform stands.
+    /// Whether the platform stands still.
     pub is_standing: bool,
 }
 
-/// The filter. It knows nothing before [`InertialFilter::begin`].
+/// The filter. It has no state before [`InertialFilter::begin`].
 #[derive(Clone, Debug)]
 pub(crate) struct InertialFilter {
     settings: InertialSettings,
     errors: InertialNoise,
     imu: ImuSettings,
     prior: MotionPriorSettings,
-    /// Standard deviation of registered places, metres: the noise of ranges.
+    /// Standard deviation of registered positions, metres: the noise of ranges.
     place_error: f64,
     outlier_sigmas: f64,
     /// Standard deviation of the velocity of a platform whose poses do not drift, m/s.
     standing_velocity: f64,
-    /// Standard deviation of the force that an IMU at rest measures, m/s².
+    /// Standard deviation of the specific force that an IMU at rest measures, m/s².
     resting_error: f64,
     samples: ImuBuffer,
     last: Option<Time>,
     estimate: Option<InertialEstimate>,
-    /// How many times the variance of accelerations is what it is said to be.
+    /// Factor of the assumed variance of accelerations.
     noise: CovarianceMatching,
 }
 
@@ -96,7 +98,7 @@ impl InertialFilter {
         }
     }
 
-    /// Takes a sample as it was measured, in order of time.
+    /// Takes a raw sample, in order of time.
     pub fn add_imu(&mut self, data: &ImuData) {
         self.samples.push(data);
     }
@@ -107,11 +109,12 @@ impl InertialFilter {
         ImuData { angular_velocity: data.angular_velocity - bias, ..*data }
     }
 
-    /// Begins at the end of the first sweep, where accelerations point up along a unit vector in the local map.
+    /// Begins at the end of the first sweep. `up` is the unit vector of the mean specific force in the
+    /// local map.
     pub fn begin(&mut self, time: Time, start: &InertialStart, up: &Vector3) {
         let force = match start.force_at_rest {
             Some(strength) => (up * strength, self.resting_error),
-            // A platform that speeds up while accelerations are averaged seems to lean.
+            // If the platform accelerates while accelerations are averaged, it seems tilted.
             None => (up * USUAL_GRAVITY, self.prior.acceleration),
         };
         if !self.measures_gravity() {
@@ -122,14 +125,15 @@ impl InertialFilter {
         self.begin_anew(time, start);
     }
 
-    /// Whether the accelerometer measures about gravity in the mean. Its units are others if it does not.
+    /// Whether the mean specific force is about gravity. If not, the accelerometer has other units.
     fn measures_gravity(&self) -> bool {
         let samples = self.samples.all();
         let sum: f64 = samples.iter().map(|sample| sample.linear_acceleration.norm()).sum();
         (sum / samples.len().max(1) as f64 - USUAL_GRAVITY).abs() < 0.5 * USUAL_GRAVITY
     }
 
-    /// Begins anew at the end of a sweep, after what it did not follow. Biases and gravity remain.
+    /// Resets pose and velocity at the end of a sweep, after motion that it did not follow. Biases and
+    /// gravity remain.
     pub fn begin_anew(&mut self, time: Time, start: &InertialStart) {
         let settings = &self.settings;
         let sigmas = [self.place_error, self.prior.least_rotation_error, settings.first_velocity];
@@ -146,8 +150,8 @@ impl InertialFilter {
         self.estimate.as_ref().map_or(most, |e| e.sigma_of(InertialEntry::Velocity).min(most))
     }
 
-    /// Standard deviation about each axis of the rotation that the gyroscope measured during a segment, radians: its noise, its errors of
-    /// scale, and its bias, which may not be known yet.
+    /// Standard deviation about each axis of the rotation that the gyroscope measured during a segment,
+    /// radians: by its noise, its scale errors, and its bias, which may still be unknown.
     pub fn rotation_sigma(&self, segment: &TrajectorySegment) -> f64 {
         let errors = &self.errors;
         let most = errors.gyroscope_bias;
@@ -157,22 +161,22 @@ impl InertialFilter {
         by_noise.hypot(errors.turn_scale * turn).hypot(bias * seconds)
     }
 
-    /// Whether velocity and force at rest are known well enough for the accelerometer to be relied on.
+    /// Whether velocity and specific force at rest are certain enough to use the accelerometer.
     pub fn is_reliable(&self) -> bool {
         let settings = &self.settings;
         let is_sure = |estimate: &InertialEstimate| estimate.force_sigma() < settings.accelerometer_bias;
         self.velocity_sigma() < 0.5 * settings.first_velocity && self.estimate.as_ref().is_some_and(is_sure)
     }
 
-    /// From the tracking frame, which lies in the local map as given, to a gravity-aligned one of the same heading; none
-    /// before the filter began.
+    /// Rotation from the tracking frame, given in the local map, to a gravity-aligned one of the same
+    /// heading; none before the filter begins.
     pub fn level_from_tracking(&self, local_from_tracking: &Quaternion) -> Option<Quaternion> {
         let up = self.estimate.as_ref()?.force_at_rest;
         Some(rotation_between(&up, &Vector3::z()) * local_from_tracking)
     }
 
-    /// A segment over the times of `predicted` that begins where the last sweep ended, and moves as the IMU says. None where
-    /// that is not known.
+    /// A segment over the times of `predicted` that begins where the last sweep ended, with the motion by
+    /// the IMU. None where samples are missing or invalid.
     pub fn predict(&self, start: Time, predicted: &TrajectorySegment) -> Option<InertialPrediction> {
         let mut next = self.samples.count_until(start);
         if self.last != Some(start) || next == 0 || predicted.seconds() <= 0.0 {
@@ -201,7 +205,8 @@ impl InertialFilter {
         is_known.then_some(InertialPrediction { segment, estimate, measured })
     }
 
-    /// Goes on to the end of a sweep: prediction, correction by the registered pose, correction by a zero velocity.
+    /// Updates the state to the end of a sweep: prediction, correction by the registered pose,
+    /// zero-velocity update.
     pub fn update(&mut self, end: Time, prediction: &InertialPrediction, measured: &PoseMeasurement<'_>) {
         let mut estimate = prediction.estimate.clone();
         let noise = self.noise.variance_factor();
@@ -217,7 +222,8 @@ impl InertialFilter {
         self.samples.forget_until(end);
     }
 
-    /// The registered rotation tells the bias of the gyroscope, unless that measured something else altogether.
+    /// The registered rotation updates the bias of the gyroscope, unless the gyroscope measured something
+    /// else altogether.
     fn correct_rotation(&self, estimate: &mut InertialEstimate, measured: &PoseMeasurement<'_>) {
         let innovation = estimate.rotation_to(&measured.local_from_tracking.rotation);
         let error = with_unknown(square(self.prior.least_rotation_error), &measured.degenerate.rotations);
@@ -236,8 +242,8 @@ impl InertialFilter {
         let innovation = measured.local_from_tracking.translation.vector - estimate.place;
         let known = square(self.place_error) + attenuation;
         let error = with_unknown(known, &measured.degenerate.translations);
-        // Innovations are as large as their covariance says, or else the accelerometer is worse than it is said to be: its
-        // clock, axes or units may be wrong.
+        // Covariance matching: if innovations are larger than their covariance, the accelerometer is worse
+        // than assumed; its clock, axes or units may be wrong.
         let constrained = 3_usize.saturating_sub(measured.degenerate.translations.len());
         if constrained > 0 {
             let squared =
@@ -248,7 +254,8 @@ impl InertialFilter {
     }
 }
 
-/// What an IMU measures so many seconds after a sample, if the next one is known; else the sample holds.
+/// Interpolated sample of the IMU at this time after a sample, seconds; the sample itself if there is no
+/// next one.
 fn between(sample: &ImuData, next: Option<&ImuData>, seconds: f64) -> ImuData {
     let Some(next) = next else { return *sample };
     let fraction = (seconds / next.time.seconds_since(sample.time).max(1e-9)).clamp(0.0, 1.0);
@@ -263,7 +270,7 @@ fn square(sigma: f64) -> na::Matrix3<f64> {
     na::Matrix3::from_diagonal_element(sigma * sigma)
 }
 
-/// What was measured with a covariance, but not along some directions.
+/// The covariance of a measurement, with large variance added along these directions.
 fn with_unknown(known: na::Matrix3<f64>, degenerate: &[Vector3]) -> na::Matrix3<f64> {
     degenerate.iter().fold(known, |sum, d| sum + d * d.transpose() * (UNKNOWN_SIGMA * UNKNOWN_SIGMA))
 }

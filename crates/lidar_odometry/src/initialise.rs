@@ -1,7 +1,7 @@
-//! The first two sweeps: how fast everything was already moving, and which way is up without an IMU.
+//! Estimates the initial velocity, and without an IMU the vertical, from the first two sweeps.
 //!
-//! The first sweep is a reference; the second is correlated with it, then registered to its planes. The velocity that this
-//! gives de-skews both, and so on, a few times.
+//! The first sweep is a reference; the second is correlated with it, then registered to its planes. The
+//! resulting velocity de-skews both, and this is repeated a few times.
 
 use portolan_geometry::{
     Point3f, Quaternion, Rigid3, Time, Vector3, angle_axis_from_quaternion, quaternion_from_angle_axis,
@@ -25,16 +25,17 @@ use crate::witness::is_horizontal;
 /// The rotation at a time, from the tracking frame to a gravity-aligned one.
 pub(crate) type RotationAt<'a> = dyn Fn(Time) -> Quaternion + 'a;
 
-/// How everything was moving, and which way was up, at the end of the first sweep.
+/// Motion and vertical at the end of the first sweep.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Start {
-    /// Tracking in local.
+    /// Rotation of the tracking frame in the local map.
     rotation: Quaternion,
     /// In the local map, m/s.
     velocity: Vector3,
     /// In the tracking frame, rad/s; zero where a gyroscope measures.
     turn_rate: Vector3,
-    /// Whether planes leave a horizontal translation open, so that the velocity along it is not known well.
+    /// Whether planes do not constrain a horizontal translation, so that the velocity along it is
+    /// uncertain.
     is_open: bool,
 }
 
@@ -49,12 +50,13 @@ impl Start {
         self.velocity
     }
 
-    /// Moving faster by so much, m/s in the local map.
+    /// The start with this added to its velocity, m/s in the local map.
     pub fn faster_by(self, velocity: &Vector3) -> Self {
         Self { velocity: self.velocity + velocity, ..self }
     }
 
-    /// Whether planes leave a horizontal translation open, so that the velocity along it is not known well.
+    /// Whether planes do not constrain a horizontal translation, so that the velocity along it is
+    /// uncertain.
     pub fn is_open(&self) -> bool {
         self.is_open
     }
@@ -65,11 +67,11 @@ impl Start {
     }
 }
 
-/// The first sweep, and what is believed of the motion then.
+/// The first sweep, and the assumed motion at that time.
 #[derive(Clone)]
 pub(crate) struct FirstSweeps<'a> {
     first: &'a Sweep,
-    /// What a gyroscope says of the rotation (tracking in local), if there is one.
+    /// Rotation by a gyroscope (tracking in local), if there is one.
     rotation_at: Option<&'a RotationAt<'a>>,
     settings: &'a OdometrySettings,
     start: Start,
@@ -79,22 +81,22 @@ pub(crate) struct FirstSweeps<'a> {
 struct Relative {
     /// The second pose in the first.
     motion: Rigid3,
-    /// How well what tells of the motion fits there.
+    /// Fit of the points that constrain the motion.
     fit: f64,
-    /// Whether planes leave a horizontal translation open.
+    /// Whether planes do not constrain a horizontal translation.
     is_open: bool,
 }
 
 /// The motion between the first two sweeps.
 enum FirstMotion {
-    /// One of these registrations, which differ and fit well enough to be followed.
+    /// One of these registrations, which differ and fit well enough to be tracked.
     Registered(Vec<Relative>),
-    /// The sweeps do not show the same things: those that follow have to tell which of these it is.
+    /// The sweeps do not show the same structures: later sweeps have to decide between these motions.
     Undecided(Vec<Rigid3>),
 }
 
 impl<'a> FirstSweeps<'a> {
-    /// Moving as a hypothesis says.
+    /// First sweeps under this hypothesis of the motion.
     pub fn new(
         first: &'a Sweep,
         rotation_at: Option<&'a RotationAt<'a>>,
@@ -104,8 +106,9 @@ impl<'a> FirstSweeps<'a> {
         Self { first, rotation_at, settings, start }
     }
 
-    /// How everything may have been moving, the most likely motion first. At speed a street looks alike after one step and
-    /// after two: each place in the first sweep that the second one fits about as well is a hypothesis.
+    /// Hypotheses of the initial motion, the most likely first. At speed a street may look alike after one
+    /// step and after two: each pose in the first sweep at which the second one fits about as well is a
+    /// hypothesis.
     pub fn hypotheses(
         first: &'a Sweep,
         second: Option<&Sweep>,
@@ -140,7 +143,7 @@ impl<'a> FirstSweeps<'a> {
         starts
     }
 
-    /// What follows from first looks, the best first.
+    /// Refines all first registrations, the best first.
     fn all_followed(&self, looks: Vec<Relative>, second: &Sweep) -> Vec<Start> {
         let least = self.settings.loss.poor_fit_ratio;
         let same_velocity =
@@ -160,7 +163,8 @@ impl<'a> FirstSweeps<'a> {
         found.into_iter().map(|(start, _)| start).collect()
     }
 
-    /// The second sweep registered to the first from wherever it may lie, both as they came.
+    /// Registers the second sweep to the first from all coarse matches, both without correction of
+    /// de-skewing.
     fn first_motion(&self, (reference, planes): (&[Point3f], &PlaneMap), second: &Sweep) -> FirstMotion {
         let deskewed = self.deskewed(second);
         let peaks = self.coarse_motions(reference, &deskewed, second);
@@ -175,7 +179,7 @@ impl<'a> FirstSweeps<'a> {
             Some(_) => {
                 let mut found = self.registered(planes, &deskewed, &places);
                 if found.is_empty() {
-                    // Single sparse sweeps may show no planes.
+                    // Single sparse sweeps may have no planes.
                     found.extend(places.first().map(|motion| Relative {
                         motion: *motion,
                         fit: 0.0,
@@ -187,8 +191,8 @@ impl<'a> FirstSweeps<'a> {
         }
     }
 
-    /// The second sweep (de-skewed) registered to the first from each of these places: results that differ, and fit well
-    /// enough to be followed.
+    /// The second sweep (de-skewed) registered to the first from each of these poses: results that differ,
+    /// and fit well enough to be tracked.
     fn registered(&self, planes: &PlaneMap, deskewed: &[Point3f], places: &[Rigid3]) -> Vec<Relative> {
         let points = voxel_filter_points(deskewed, self.settings.first_spacing());
         let same_motion = f64::from(self.settings.correlation.cell);
@@ -206,8 +210,8 @@ impl<'a> FirstSweeps<'a> {
         found
     }
 
-    /// Where the second sweep may lie in the first, coarsely, the likeliest place first, each with the share of what stands
-    /// upright that is met again; none where nothing tells.
+    /// Coarse poses of the second sweep in the first, the likeliest first, each with the fraction of
+    /// upright structures that is met again; none where there are too few of them.
     fn coarse_motions(
         &self,
         reference: &[Point3f],
@@ -217,7 +221,7 @@ impl<'a> FirstSweeps<'a> {
         let settings = &self.settings.correlation;
         let seconds = second.end.seconds_since(self.first.end);
         let window = Window::after(seconds, self.rotation_at.is_some(), settings);
-        // Both at the scanner, and level if it is mounted at an angle.
+        // Both relative to the scanner, and level if it is mounted at an angle.
         let is_leaning = leans(&self.pose_at(self.first.end).rotation);
         let [local_from_first, local_from_second] = [self.first.end, second.end].map(|end| {
             let rotation = if is_leaning { self.pose_at(end).rotation } else { Quaternion::identity() };
@@ -235,8 +239,8 @@ impl<'a> FirstSweeps<'a> {
         peaks.into_iter().map(|peak| (first_from_second(peak), peak.share)).collect()
     }
 
-    /// What follows from a first look: the velocity that it gives de-skews both sweeps, the second is registered to the first
-    /// once more, and so on. With it, how well it fits in the end.
+    /// Refines a first registration: its velocity de-skews both sweeps, the second is registered to the
+    /// first once more, and so on. Gives the start with its final fit.
     fn followed(mut self, mut relative: Relative, second: &Sweep) -> (Start, f64) {
         let seconds = second.end.seconds_since(self.first.end);
         self.move_by(&relative.motion, seconds);
@@ -256,7 +260,7 @@ impl<'a> FirstSweeps<'a> {
         self
     }
 
-    /// Takes over the velocity of a motion from sweep to sweep.
+    /// Sets the velocity from the motion between the sweeps.
     fn move_by(&mut self, motion: &Rigid3, seconds: f64) {
         self.start.velocity = self.start.rotation * motion.translation.vector / seconds;
         if self.rotation_at.is_none() {
@@ -264,7 +268,7 @@ impl<'a> FirstSweeps<'a> {
         }
     }
 
-    /// The start, upright as planes say where no IMU tells.
+    /// The start, with the vertical from planes where there is no IMU.
     fn leveled(&self, planes: &PlaneMap) -> Start {
         let mut start = self.start;
         if self.rotation_at.is_none() {
@@ -275,7 +279,7 @@ impl<'a> FirstSweeps<'a> {
         start
     }
 
-    /// The pose at the end of the second sweep in that of the first, as it is believed.
+    /// The assumed pose at the end of the second sweep in that of the first.
     fn believed(&self, second: &Sweep) -> Rigid3 {
         self.pose_at(self.first.end).inverse() * self.pose_at(second.end)
     }
@@ -302,18 +306,19 @@ impl<'a> FirstSweeps<'a> {
         sweep.points.iter().map(|p| to_end.moved(&p.position, p.time)).collect()
     }
 
-    /// Of the first sweep.
+    /// Planes of the first sweep.
     fn planes(&self) -> PlaneMap {
         planes_of(&self.deskewed(self.first), self.settings)
     }
 
-    /// The second pose in the first near another one, if the points constrain it.
+    /// The second pose in the first near an initial one, if the points constrain it.
     fn register(&self, planes: &PlaneMap, points: &[Point3f], initial: &Rigid3) -> Option<Relative> {
         let prior = PosePrior { pose: *initial, sigmas: COARSE };
         let registration = Registration::new(self.settings.registration.clone());
         let scale = f64::from(self.settings.correlation.cell);
         let found = registration.register_scan(planes, points, initial, &prior, scale)?;
-        // A single sparse sweep among trees shows few planes, but they constrain translation if not rotation, too.
+        // A single sparse sweep among trees has few planes, but they may constrain translation even if not
+        // rotation.
         let constrains_translation = self.rotation_at.is_some() && found.degenerate.translations.is_empty();
         let least = UNPREDICTED_FACTOR * self.settings.registration.min_matched_fraction;
         let is_enough = found.matched_fraction >= least || constrains_translation;
@@ -324,7 +329,8 @@ impl<'a> FirstSweeps<'a> {
     }
 }
 
-/// Whether the tracking frame leans so much that what stands upright has to be looked for in a level one.
+/// Whether the tracking frame is tilted so much that upright structures have to be searched in a level
+/// one.
 fn leans(local_from_tracking: &Quaternion) -> bool {
     (local_from_tracking * Vector3::z()).z < LEVEL_TILT.cos()
 }

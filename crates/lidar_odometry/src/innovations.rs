@@ -1,9 +1,10 @@
-//! How far predicted rotations are off, constant or measured by a gyroscope, learned from how sweeps were registered.
+//! Learns the errors of predicted rotations, constant ones and those of a gyroscope, from registered
+//! sweeps.
 //!
-//! The prior of constant rotation is wide enough for a lidar that is swung about. On a vehicle it is too wide: errors of the
-//! sensor that repeat in every turn are then taken for motion during the sweep, and bend the trajectory by what of them is
-//! carried on from sweep to sweep. The prior of a gyroscope is what it is off by itself, too narrow where its stamps jitter, its clock
-//! is off or its mounting gives way.
+//! The prior of constant rotation is wide enough for a swinging lidar. On a vehicle it is too wide: sensor
+//! errors that repeat in every revolution are then taken for motion during the sweep, and bend the
+//! trajectory by the part of them that is carried on from sweep to sweep. The prior of a gyroscope is its
+//! own error; it is too narrow where time stamps jitter, its clock is off or its mounting gives way.
 
 use portolan_numeric::CovarianceMatching;
 
@@ -12,7 +13,7 @@ use crate::settings::constants::innovations::{
     LEAST_FRACTION, MARGIN_FACTOR, MEMORY_SWEEPS, REGISTERED_SIGMA,
 };
 
-/// What innovations of rotation say of priors.
+/// Innovations of rotation, by which priors are scaled.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Innovations {
     constant: CovarianceMatching,
@@ -29,28 +30,29 @@ impl Default for Innovations {
 }
 
 impl Innovations {
-    /// By what fraction the standard deviation of the prior of constant rotation is to be multiplied.
+    /// Factor of the standard deviation of the prior of constant rotation, at most 1.
     pub fn of_constant(&self) -> f64 {
         (MARGIN_FACTOR * self.constant.sigma_factor()).clamp(LEAST_FRACTION, 1.0)
     }
 
-    /// How many times as far off a gyroscope's rotations may be as it should be.
+    /// Factor of the assumed error of a gyroscope's rotations.
     pub fn of_measured(&self) -> f64 {
         MARGIN_FACTOR * self.measured.sigma_factor()
     }
 
-    /// Takes what registration added to a rotation that nothing measured, with the prior's standard deviation, radians.
+    /// Adds the correction of an unmeasured rotation by registration, with the standard deviation of the
+    /// prior, radians.
     pub fn add_constant(&mut self, correction: &SegmentCorrection, sigma: f64) {
         self.constant.add(squared(correction, sigma));
     }
 
-    /// Takes what registration added to a rotation that a gyroscope measured, which should be off by so much, radians.
+    /// Adds the correction of a rotation by a gyroscope, with its assumed standard deviation, radians.
     pub fn add_measured(&mut self, correction: &SegmentCorrection, sigma: f64) {
         self.measured.add(squared(correction, sigma.hypot(REGISTERED_SIGMA)));
     }
 }
 
-/// The squared innovation in variances, a third for each axis.
+/// The squared normalised innovation, divided by the three axes.
 fn squared(correction: &SegmentCorrection, sigma: f64) -> f64 {
     let sigmas = correction.end().fixed_rows::<3>(3).norm() / sigma;
     sigmas.powi(2) / 3.0

@@ -1,11 +1,11 @@
-//! Faults of the data that were repaired or left out: counted, and named.
+//! Faults of the data that were repaired or left out: kinds and counts.
 
 use std::collections::BTreeMap;
 
 use portolan_issue::IssueKind;
 use portolan_motion::ExtrapolatorError;
 
-/// What was wrong with a measurement.
+/// Fault of a measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Issue {
     /// An IMU sample from before the last registered sweep, or out of order; it was left out.
@@ -22,15 +22,16 @@ pub enum Issue {
     SweepTooOld,
     /// A sweep that fits clearly better without the rotation that the gyroscope measured.
     GyroscopeOverruled,
-    /// A sweep that fits where the platform is without odometry, and not where odometry says; odometry was not used.
+    /// A sweep that fits at the pose without odometry, and not at that of odometry; odometry was not used.
     OdometryOverruled,
-    /// A sweep that fits no plane; its pose is predicted, or another map's.
+    /// A sweep that fits no plane; its pose is predicted, or that of the fallback map.
     NoPlaneFits,
-    /// A sweep that contradicts the map; the map is not shown it.
+    /// A sweep that contradicts the map; it is not inserted.
     ContradictsMap,
-    /// A sweep in which something hides the place; it was left out.
+    /// A sweep that is occluded; it was left out.
     PlaceHidden,
-    /// A sweep before which nothing had told for seconds how far it went: constant velocity was assumed.
+    /// A sweep before which the distance travelled had been unmeasured for seconds: constant velocity was
+    /// assumed.
     TravelGuessed,
 }
 
@@ -43,7 +44,7 @@ impl Issue {
         }
     }
 
-    /// The kind that reports know it by, which has its text and severity.
+    /// The kind in reports, which has its text and severity.
     pub fn kind(self) -> IssueKind {
         match self {
             Self::ImuSampleTooOld => IssueKind::ImuSampleTooOld,
@@ -62,7 +63,7 @@ impl Issue {
     }
 }
 
-/// How often each issue occurred.
+/// Number of occurrences of each issue.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Issues {
     counts: BTreeMap<Issue, u64>,
@@ -74,17 +75,17 @@ impl Issues {
         *self.counts.entry(issue).or_default() += 1;
     }
 
-    /// Counts all of these, too.
+    /// Adds the counts of others.
     pub fn add(&mut self, others: &Self) {
         others.iter().for_each(|(issue, count)| *self.counts.entry(issue).or_default() += count);
     }
 
-    /// All issues that occurred, and how often.
+    /// All issues that occurred, with their counts.
     pub fn iter(&self) -> impl Iterator<Item = (Issue, u64)> + '_ {
         self.counts.iter().map(|(issue, count)| (*issue, *count))
     }
 
-    /// How often one occurred.
+    /// Count of one issue.
     pub fn of(&self, issue: Issue) -> u64 {
         self.counts.get(&issue).copied().unwrap_or_default()
     }

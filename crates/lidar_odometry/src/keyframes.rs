@@ -1,4 +1,4 @@
-//! The key frame policy: which sweeps are kept, and which only show the map their planes.
+//! The key frame policy: which sweeps become key frames, and which only update the map.
 
 use portolan_geometry::{Rigid3, Time};
 use portolan_motion::MotionFilter;
@@ -6,26 +6,26 @@ use portolan_motion::MotionFilter;
 use crate::settings::KeyframeSettings;
 use crate::settings::constants::keyframes::{DOUBLINGS_AT_REST, MOST_DOUBLINGS};
 
-/// What is known of a sweep when it is decided.
+/// Inputs of the decision about a sweep.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Candidate<'a> {
     pub time: Time,
     pub local_from_tracking: &'a Rigid3,
     pub is_standing: bool,
-    /// Whether it is wanted however little it moved.
+    /// Whether it becomes a key frame however little it moved.
     pub is_wanted: bool,
-    /// Whether it may be left out while it stands.
+    /// Whether it may be left out while the platform stands.
     pub may_be_ignored: bool,
 }
 
-/// What becomes of a sweep.
+/// Decision about a sweep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Decision {
     /// It is a key frame.
     KeyFrame,
-    /// It shows the map its planes, no more.
+    /// It only updates the map.
     MapOnly,
-    /// It tells nothing new.
+    /// It is redundant.
     Ignored,
 }
 
@@ -35,7 +35,7 @@ pub(crate) struct KeyframePolicy {
     settings: KeyframeSettings,
     filter: MotionFilter,
     last: Option<Time>,
-    /// Key frames since it stands.
+    /// Number of key frames since the platform came to rest.
     standing: i32,
 }
 
@@ -61,8 +61,8 @@ impl KeyframePolicy {
         }
     }
 
-    /// Whether the last key frame is so recent that one from the same place tells nothing new yet: the longer it stands
-    /// the longer that is.
+    /// Whether the last key frame is so recent that another one from the same position is redundant: the
+    /// longer the platform stands, the longer this interval is.
     fn stood_lately(&self, time: Time) -> bool {
         let settings = &self.settings;
         let doublings = (DOUBLINGS_AT_REST + self.standing).min(MOST_DOUBLINGS);

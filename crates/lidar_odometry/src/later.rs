@@ -1,12 +1,13 @@
-//! Values that are changed beside what else is done: who needs one waits until it is changed.
+//! Values that are changed in the background; access to a value waits until it has been changed.
 
 use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 type Work<T> = Box<dyn FnOnce(&mut T) + Send>;
 
-/// A value, and at most one change of it that waits for a thread that has time. Whoever asks for the value first makes the
-/// change, so that what comes out depends neither on threads nor on time, and nobody waits for a thread that will not come.
+/// A value, and at most one pending change for an idle thread. The first access makes the change if no
+/// thread has, so that results depend neither on threads nor on time, and no thread waits for another that
+/// may never run.
 pub struct Later<T> {
     shared: Arc<Shared<T>>,
 }
@@ -18,31 +19,32 @@ struct Shared<T> {
 }
 
 impl<T: Send + 'static> Later<T> {
-    /// A value that does not change yet.
+    /// A value without pending change.
     pub fn new(value: T) -> Self {
         Self { shared: Arc::new(Shared { value: Mutex::new(value), work: Mutex::new(None) }) }
     }
 
-    /// The value after all changes. (To be let go of before it is asked for again.)
+    /// The value after all changes. (Release the guard before the next access.)
     pub fn now(&self) -> MutexGuard<'_, T> {
         let mut value = held(&self.shared.value);
         self.shared.change(&mut value);
         value
     }
 
-    /// Lets another thread change the value, once the change before is made.
+    /// Lets another thread change the value, once the previous change is made.
     pub fn change(&self, work: impl FnOnce(&mut T) + Send + 'static) {
         rayon::spawn(self.leave(work));
     }
 
-    /// Leaves a change of the value, once the change before is made, to who calls what this gives.
+    /// Leaves a change of the value, once the previous change is made, to the caller of the returned
+    /// function.
     pub fn leave(&self, work: impl FnOnce(&mut T) + Send + 'static) -> Box<dyn FnOnce() + Send> {
         let value = self.now();
         *held(&self.shared.work) = Some(Box::new(work));
         drop(value);
         let shared = Arc::clone(&self.shared);
         Box::new(move || {
-            // One that is held is being changed by someone who needs it.
+            // A locked value is being changed by a thread that needs it.
             if let Ok(mut value) = shared.value.try_lock() {
                 shared.change(&mut value);
             }

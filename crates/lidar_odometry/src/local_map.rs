@@ -1,5 +1,6 @@
-//! The planes around: two planar voxel maps that overlap by half. Sweeps are registered to the older one; both take them,
-//! so that every place is in two maps and the older one always knows half of its extent.
+//! The local map: two planar voxel maps that overlap by half. Sweeps are registered to the older one and
+//! inserted into both, so that every place is in two maps and at least half of the extent of the older one
+//! is filled.
 
 use std::sync::Arc;
 
@@ -11,10 +12,10 @@ use crate::plane_map::PlaneMap;
 use crate::settings::{LocalMapSettings, OdometrySettings, PlaneFitSettings};
 use crate::two_threads::is_worth_a_thread;
 
-/// A planar voxel map that takes key frames.
+/// A planar voxel map that is being filled.
 #[derive(Clone, Debug)]
 pub struct GrowingMap {
-    /// Its frame: level, with its origin where the first key frame was taken.
+    /// Its frame: level, with its origin at the first key frame.
     pub local_from_map: Rigid3,
     /// In that frame.
     pub planes: Later<PlaneMap>,
@@ -22,23 +23,26 @@ pub struct GrowingMap {
     pub keyframes: u32,
 }
 
-/// The maps around.
+/// The local maps around the scanner.
 #[derive(Clone, Debug)]
 pub(crate) struct LocalMap {
     settings: LocalMapSettings,
     plane_fit: PlaneFitSettings,
-    /// A map of fewer is warming up: single sweeps show few planes, and what the first ones got wrong fits it.
+    /// Number of key frames below which a map is warming up: single sweeps have few planes, and errors of
+    /// the first ones fit it.
     warm_up_keyframes: usize,
     older: GrowingMap,
     newer: Option<GrowingMap>,
 }
 
 impl GrowingMap {
-    /// Adds points seen from an origin (both in the local map); many of them are left to who does the work that this gives.
+    /// Adds points seen from an origin (both in the local map). Many points are left to the caller of the
+    /// returned function.
     fn insert(&self, points: &Arc<Vec<Point3f>>, origin: &Point3f) -> Option<Box<dyn FnOnce() + Send>> {
         let map_from_local = to_f32(&self.local_from_map.inverse());
         let origin = map_from_local * origin;
-        // A matrix turns many points sooner than a quaternion, and sums written out sooner than products of matrices.
+        // A matrix rotates many points faster than a quaternion, and explicit sums are faster than
+        // products of matrices.
         let (turn, shift) = (map_from_local.rotation.to_rotation_matrix(), map_from_local.translation.vector);
         let [x, y, z] = turn.matrix().data.0;
         let along =
@@ -55,7 +59,8 @@ impl GrowingMap {
 }
 
 impl LocalMap {
-    /// With the first key frame. The axes of a map are those of the gravity-aligned frame of its first key frame.
+    /// Local map with the first key frame. The axes of a map are those of the gravity-aligned frame of its
+    /// first key frame.
     pub fn new(
         settings: &OdometrySettings,
         sweep_in_local: &RangeData,
@@ -85,13 +90,13 @@ impl LocalMap {
         std::iter::once(&self.older).chain(&self.newer)
     }
 
-    /// Whether the older map knows too few planes to be relied on.
+    /// Whether the older map has too few key frames to be reliable.
     pub fn is_warming_up(&self) -> bool {
         (self.older.keyframes as usize) < self.warm_up_keyframes
     }
 
-    /// Shows all maps points that were seen from an origin (both in the local map). Many of them are inserted beside what else is
-    /// done, into the older map first, which is needed sooner.
+    /// Inserts points seen from an origin (both in the local map) into all maps. Many points are inserted
+    /// in the background, into the older map first, which is needed sooner.
     pub fn insert(&self, points: &Arc<Vec<Point3f>>, origin: &Point3f) {
         let work: Vec<_> = self.all().filter_map(|map| map.insert(points, origin)).collect();
         if !work.is_empty() {
@@ -99,7 +104,8 @@ impl LocalMap {
         }
     }
 
-    /// Counts a key frame, taken at an origin in the local map, before it is inserted. Whether it completes the older map.
+    /// Counts a key frame, taken at an origin in the local map, before it is inserted. Gives whether it
+    /// completes the older map.
     pub fn count_keyframe(&mut self, origin: Point3f, local_from_gravity_aligned: Quaternion) -> bool {
         let half = self.settings.keyframes_per_half.max(1);
         if self.newer.is_none() && self.older.keyframes >= half {
@@ -112,7 +118,7 @@ impl LocalMap {
         self.older.keyframes >= 2 * half
     }
 
-    /// Gives the older map away, which is complete.
+    /// Returns the older map, which is complete, and replaces it by the newer one.
     pub fn take_complete(&mut self) -> Option<PlaneMap> {
         let complete = std::mem::replace(&mut self.older, self.newer.take()?);
         Some(complete.planes.now().compacted())

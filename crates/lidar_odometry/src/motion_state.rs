@@ -1,5 +1,5 @@
-//! What is known of the motion between sweeps: the inertial filter if there is an IMU, an extrapolator of poses and odometry,
-//! and what is noticed of their sensors: rest, and the end of the range of the gyroscope.
+//! State of motion between sweeps: the inertial filter if there is an IMU, an extrapolator of poses and
+//! odometry, and detectors of rest and of saturation of the gyroscope.
 
 use portolan_geometry::nalgebra::Matrix3;
 use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3};
@@ -15,45 +15,45 @@ use crate::segment::{MotionSource, TrajectorySegment};
 use crate::settings::constants::initialise::VELOCITY_INTERVAL;
 use crate::settings::{HypothesisSettings, OdometrySettings};
 
-/// Follows the motion.
+/// Estimates the motion.
 #[derive(Clone, Debug)]
 pub(crate) struct MotionState {
     pub extrapolator: PoseExtrapolator,
     pub has_imu: bool,
     saturation: SaturationDetector,
-    /// When the gyroscope was last at the end of its range.
+    /// Time at which the gyroscope was last saturated.
     saturated_at: Option<Time>,
     last_sample: Option<Time>,
-    /// When samples last came again after a gap.
+    /// Time at which samples last resumed after a gap.
     resumed_at: Option<Time>,
     zero_velocity: ZeroVelocityDetector,
     inertial: InertialFilter,
     odometry: OdometryPrior,
     hypotheses: HypothesisSettings,
-    /// What two sparse sweeps are off by, m/s.
+    /// Error of a velocity from two sparse sweeps, m/s.
     first_velocity_error: f64,
 }
 
-/// What the end of a sweep says of the motion.
+/// Measurements of the motion at the end of a sweep.
 pub(crate) struct SweepEnd<'a> {
     pub time: Time,
     pub local_from_tracking: &'a Rigid3,
-    /// What the sweep leaves unconstrained, in the tracking frame.
+    /// Degenerate directions of the sweep, in the tracking frame.
     pub degenerate: &'a DegenerateDirections,
-    /// Covariance of attenuation, m² in the local map. None where the sweep fits nothing.
+    /// Covariance of attenuation, m² in the local map. None where the sweep does not fit.
     pub attenuation: Option<Matrix3<f64>>,
-    /// Where its points alone put it; none where the sweep fits nothing.
+    /// Position by its points alone; none where the sweep does not fit.
     pub measured: Option<&'a MeasuredPlace>,
     pub is_standing: bool,
-    /// Whether the rotation tells something of the gyroscope. Before the map is warmed up it does not: what the first sweeps
-    /// got wrong fits the map that was made of them.
+    /// Whether the rotation calibrates the gyroscope. Before the map is warmed up it does not: errors of
+    /// the first sweeps fit the map that was made of them.
     pub tells_rotation: bool,
-    /// Where it does not follow from the pose before: how the platform moves now.
+    /// Velocities of the platform at this time, where they do not follow from the pose before.
     pub velocities: Option<Velocities>,
 }
 
 impl MotionState {
-    /// Begins where an extrapolator does, with the samples that it was begun with.
+    /// State with this extrapolator and the samples that it was started with.
     pub fn new(
         settings: &OdometrySettings,
         extrapolator: PoseExtrapolator,
@@ -73,14 +73,14 @@ impl MotionState {
             first_velocity_error: settings.inertial.first_velocity,
         };
         if let Some(first) = imu.first() {
-            // The extrapolator has it.
+            // The extrapolator already has it.
             state.inertial.add_imu(first);
         }
         let issues = imu.iter().skip(1).filter_map(|data| state.add_imu(data)).collect();
         (state, issues)
     }
 
-    /// Takes a sample, in order of time. Gives what is wrong with it.
+    /// Takes a sample, in order of time. Gives its fault, if any.
     pub fn add_imu(&mut self, data: &ImuData) -> Option<Issue> {
         let max_gap = Duration::from_seconds(self.hypotheses.long_gap);
         if self.last_sample.is_some_and(|last| data.time - last > max_gap) {
@@ -100,33 +100,33 @@ impl MotionState {
         (!self.has_imu).then_some(Issue::ImuAfterStart)
     }
 
-    /// Takes an odometry pose, in order of time. Gives what is wrong with it.
+    /// Takes an odometry pose, in order of time. Gives its fault, if any.
     pub fn add_odometry(&mut self, data: &OdometryData) -> Option<Issue> {
         self.odometry.begin(&self.extrapolator);
         self.extrapolator.add_odometry(data).is_err().then_some(Issue::OdometryTooOld)
     }
 
-    /// What is expected of a sweep that ends at `end`.
+    /// Predicts the motion during a sweep that ends at `end`.
     ///
-    /// The most likely motion is that the platform stands, if it does; else what odometry measured, where it is believed; else, or where
-    /// that is more precise, what the accelerometer says, once that is reliable; else constant velocity. Rotation is the gyroscope's if
-    /// there is one.
+    /// The first hypothesis is standing, if the platform stands; else odometry, where it is trusted; else,
+    /// or where it is more precise, the accelerometer, once it is reliable; else constant velocity.
+    /// Rotation is that of the gyroscope if there is one.
     pub fn predict(&mut self, end: Time) -> Prediction {
         self.extrapolator.prepare(end);
         let start = self.extrapolator.last_pose_time();
-        // 1. As odometry says, and as it goes on without.
+        // 1. Motion by odometry, and without it.
         let (extrapolated, odometry) = self.extrapolated(end);
         // 2. Standing.
         let standing = self.zero_velocity.pose();
-        // 3. As the accelerometer says.
+        // 3. Motion by the accelerometer.
         let inertial =
             start.filter(|_| self.has_imu).and_then(|start| self.inertial.predict(start, &extrapolated));
-        // 4. The likeliest.
+        // 4. The likeliest hypothesis.
         let mut segment = self.likeliest(standing.as_ref(), inertial.as_ref(), &extrapolated, end);
         let is_complete = self.resumed_at.is_none_or(|resumed| start.is_some_and(|start| resumed <= start));
         let has_gyroscope = self.has_gyroscope(end) && is_complete;
         segment.gyroscope_sigma = has_gyroscope.then(|| self.inertial.rotation_sigma(&segment));
-        // 5. Others, where it may be wrong.
+        // 5. Alternatives, where it may be wrong.
         let is_saturated = self.saturated_at > start;
         let mut alternatives = self.alternatives(end, &segment, &extrapolated, is_saturated);
         alternatives.extend(odometry.as_ref().and_then(|odometry| {
@@ -158,21 +158,22 @@ impl MotionState {
         segment
     }
 
-    /// As the platform goes on without accelerometer, and what odometry has to do with it.
+    /// Motion without the accelerometer, and the predictions with and without odometry if there is
+    /// odometry.
     fn extrapolated(&mut self, end: Time) -> (TrajectorySegment, Option<OdometryPrediction>) {
         let rotation_is_measured = self.has_gyroscope(end);
         let told = predict::extrapolated(&mut self.extrapolator, end);
         let is_told = self.extrapolator.has_odometry(end);
         let odometry = is_told.then(|| self.odometry.predict(&told, end, rotation_is_measured)).flatten();
         let Some(odometry) = odometry else { return (told, None) };
-        // Where it may be odometry that fails, it is no witness of rest.
+        // Where odometry may fail, it does not count as evidence of rest.
         if self.odometry.works() && !odometry.they_differ() {
             self.zero_velocity.add_odometry(&odometry.measured.translation(), told.seconds());
         }
         (self.odometry.likelier(&odometry).clone(), Some(odometry))
     }
 
-    /// The motion that is taken if it is odometry that fails, or that works; none if it does not matter.
+    /// The alternative to `first`: the motion without odometry, or that by odometry; none if both agree.
     fn other_than(
         &self,
         first: &TrajectorySegment,
@@ -183,7 +184,7 @@ impl MotionState {
         odometry.they_differ().then(|| other.clone())
     }
 
-    /// Whether the accelerometer is relied on, and says more than what is known otherwise.
+    /// Whether the accelerometer is reliable, and more precise than the motion without it.
     fn relies_on(&self, inertial: &InertialPrediction, otherwise: &TrajectorySegment) -> bool {
         let sigma = self.inertial.velocity_sigma() * inertial.segment.seconds();
         let is_better = match otherwise.source {
@@ -195,7 +196,7 @@ impl MotionState {
         self.inertial.is_reliable() && is_better
     }
 
-    /// What is expected of the first sweep after a gap if the platform moved so meanwhile.
+    /// Predicts the first sweep after a gap with this motion.
     pub fn predict_after(&mut self, end: Time, motion: &GapMotion) -> Prediction {
         let prediction = self.predict(end);
         let segment = motion.applied_to(&prediction.segment);
@@ -203,7 +204,7 @@ impl MotionState {
         Prediction { extrapolated, segment, inertial: None, alternatives: Vec::new(), ..prediction }
     }
 
-    /// Other hypotheses than the first.
+    /// Alternatives to the first hypothesis.
     fn alternatives(
         &mut self,
         end: Time,
@@ -233,14 +234,16 @@ impl MotionState {
         alternatives
     }
 
-    /// Zero-velocity update: where the platform stands after a sweep was registered at this pose, if it stands.
+    /// Zero-velocity update: the pose of the standing platform after a sweep was registered at this pose;
+    /// none if it moves.
     pub fn zero_velocity_update(&mut self, end: Time, local_from_tracking: &Rigid3) -> Option<Rigid3> {
         self.zero_velocity.add_pose(end, local_from_tracking);
         self.zero_velocity.pose()
     }
 
-    /// Begins at the end of the first sweep, moving so fast (m/s in the local map). `level_from_tracking` is what the IMU alone
-    /// says of the tracking frame there. Gives a gravity-aligned frame.
+    /// Begins at the end of the first sweep with this velocity (m/s in the local map).
+    /// `level_from_tracking` is the rotation of the tracking frame by the IMU alone. Gives the rotation to
+    /// a gravity-aligned frame.
     pub fn begin(
         &mut self,
         end: Time,
@@ -253,7 +256,8 @@ impl MotionState {
         self.inertial.level_from_tracking(&local_from_tracking.rotation).unwrap_or(*level_from_tracking)
     }
 
-    /// Corrects what is known by the pose of a sweep. Gives the gravity-aligned frame of the tracking frame there.
+    /// Corrects the state by the pose of a sweep. Gives the rotation from the tracking frame there to a
+    /// gravity-aligned one.
     pub fn update(
         &mut self,
         prediction: &Prediction,
@@ -277,7 +281,7 @@ impl MotionState {
         self.inertial.level_from_tracking(&end.local_from_tracking.rotation)
     }
 
-    /// Takes a pose that is known, with odometry and without.
+    /// Adds a known pose to the extrapolators with and without odometry.
     pub fn add_pose(&mut self, time: Time, local_from_tracking: Rigid3) {
         for extrapolator in
             [Some(&mut self.extrapolator), self.odometry.without_odometry()].into_iter().flatten()
@@ -286,7 +290,7 @@ impl MotionState {
         }
     }
 
-    /// Begins to predict anew, from poses alone.
+    /// Resets the predictions to this extrapolator, from poses alone.
     pub fn forget_motion(&mut self, extrapolator: PoseExtrapolator) {
         if let Some(without) = self.odometry.without_odometry() {
             *without = extrapolator.clone();
@@ -294,7 +298,7 @@ impl MotionState {
         self.extrapolator = extrapolator;
     }
 
-    /// How many times as far as sweeps odometry goes, where that is clearly another number than one.
+    /// Ratio of the distance by odometry to that by sweeps, where it differs significantly from one.
     pub fn odometry_factor(&self) -> Option<f64> {
         self.odometry.factor()
     }
@@ -304,7 +308,7 @@ impl MotionState {
         self.odometry.is_doubted()
     }
 
-    /// Corrects the inertial filter, or begins it anew.
+    /// Corrects the inertial filter, or resets it.
     fn update_inertial(
         &mut self,
         prediction: &Prediction,
@@ -337,21 +341,22 @@ impl MotionState {
         self.inertial.begin_anew(end.time, &self.inertial_start(end.local_from_tracking, velocity));
     }
 
-    /// What the inertial filter begins with, moving so fast (m/s in the local map).
+    /// Initial state of the inertial filter at this velocity (m/s in the local map).
     fn inertial_start(&self, local_from_tracking: &Rigid3, velocity: Vector3) -> InertialStart {
         let force_at_rest = self.zero_velocity.force_at_rest();
-        // An IMU rests in smooth motion, too.
+        // An IMU seems at rest in smooth motion, too.
         let seems_to_stand = force_at_rest.is_some() && velocity.norm() < self.first_velocity_error;
         let velocity = if seems_to_stand { Vector3::zeros() } else { velocity };
         InertialStart { local_from_tracking: *local_from_tracking, velocity, force_at_rest }
     }
 
-    /// What an IMU says of the rotation (from the tracking frame to a gravity-aligned one) at a time; none without one.
+    /// Rotation by an IMU (from the tracking frame to a gravity-aligned one) at a time; none without an
+    /// IMU.
     pub fn measured_rotation(&self) -> Option<impl Fn(Time) -> Quaternion + '_> {
         self.has_imu.then_some(|time| self.extrapolator.estimate_gravity_orientation(time))
     }
 
-    /// Whether there is a gyroscope that measures until `end`, relied on or not.
+    /// Whether there is a gyroscope with samples until `end`, used or not.
     pub fn has_gyroscope(&self, end: Time) -> bool {
         self.has_imu && self.extrapolator.has_gyroscope(end)
     }

@@ -1,8 +1,8 @@
-//! Sweeps in which something hides the place: a cover, spray, people close by.
+//! Detects occluded sweeps: a cover, spray, people close by.
 //!
-//! Planes do not tell where nothing is, as a grid does. But unexpected things make beams shorter, never longer (Thrun, Burgard, Fox:
-//! Probabilistic Robotics, 6.3): a sweep that sees much less far than those before it, and contradicts the map, is as good
-//! as none.
+//! Unlike a grid, planes do not represent free space. But unexpected objects make beams shorter, never
+//! longer (Thrun, Burgard, Fox: Probabilistic Robotics, 6.3): a sweep with a much shorter reach than those
+//! before it that contradicts the map is left out.
 
 use portolan_geometry::Time;
 use portolan_sensor::{UsualReach, log_reach};
@@ -13,7 +13,7 @@ use crate::settings::LossSettings;
 use crate::sweep::Sweep;
 use crate::tracker::Tracker;
 
-/// How far sweeps usually see, and since when they have seen nothing of the place.
+/// Usual reach of sweeps, and the time since which they have been occluded.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Occlusion {
     usual: UsualReach,
@@ -21,7 +21,7 @@ pub(crate) struct Occlusion {
 }
 
 impl Occlusion {
-    /// Whether something hides the place from the sweep whose turn it is.
+    /// Whether the next sweep is occluded.
     pub fn hides(&mut self, sweep: &Sweep, tracker: &Tracker, settings: &LossSettings) -> bool {
         let Some(reach) = log_reach(sweep.points.iter().map(|point| &point.position)) else { return false };
         let is_short =
@@ -31,7 +31,7 @@ impl Occlusion {
             self.usual.add(reach);
             return false;
         }
-        // What hides the place for longer may be the place.
+        // A longer occlusion may be the actual surroundings.
         let since = *self.since.get_or_insert(sweep.end);
         sweep.end.seconds_since(since) <= settings.longest_occlusion
     }

@@ -1,4 +1,4 @@
-//! The odometry: from sweeps, IMU samples and odometry poses to registered sweeps.
+//! Lidar odometry: turns sweeps, IMU samples and odometry poses into registered sweeps.
 
 use std::collections::VecDeque;
 
@@ -23,7 +23,7 @@ use crate::start::{Begun, FirstMotion};
 use crate::sweep::Sweep;
 use crate::tracker::{Fallback, RegisteredSweep};
 
-/// Why a sweep cannot be registered. It is also counted.
+/// Reason why a sweep cannot be registered. It is also counted as an issue.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 pub enum SweepError {
     /// It has no points.
@@ -34,15 +34,15 @@ pub enum SweepError {
     TooOld,
 }
 
-/// Registers sweeps of a 3D lidar to planes that it saw before.
+/// Registers sweeps of a 3D lidar to planes of earlier sweeps.
 pub struct LidarOdometry {
     settings: OdometrySettings,
     state: State,
-    /// Sweeps that are not registered yet, in order of time.
+    /// Sweeps to be registered, in order of time.
     waiting: VecDeque<Sweep>,
-    /// Sweeps that are registered and not handed over yet.
+    /// Registered sweeps to be handed over.
     ready: VecDeque<RegisteredSweep>,
-    /// What came since a sweep last fitted the map.
+    /// Data since the last sweep that fitted the map.
     recent: Recent,
     /// The beginning of a piece of map whose first sweep is not registered yet.
     begun: Option<PieceBegun>,
@@ -51,14 +51,14 @@ pub struct LidarOdometry {
     occlusion: Occlusion,
     /// Whether no more sweeps will come.
     is_ended: bool,
-    /// Since when sweeps fitted nothing, if the last ones did not.
+    /// Time since which sweeps have not fitted, if the last ones did not.
     lost_since: Option<Time>,
     issues: Issues,
     memory: Memory,
 }
 
 impl LidarOdometry {
-    /// An odometry that knows nothing yet.
+    /// An odometry without data.
     pub fn new(settings: OdometrySettings) -> Self {
         Self {
             state: State::WaitingForGravity(GravityInitialisation::new(
@@ -79,40 +79,41 @@ impl LidarOdometry {
         }
     }
 
-    /// Remembers where sweeps were found with this. To be called before anything is added.
+    /// Sets the memory in which registered poses are remembered. To be called before any data is added.
     pub fn remember_with(&mut self, memory: &Memory) {
         self.memory = memory.clone();
     }
 
-    /// Takes a sweep and the IMU samples since the last one. Gives the sweeps whose turn has come: none while gravity is
-    /// awaited and for the first one, more when that ends.
+    /// Takes a sweep and the IMU samples since the last one. Gives the sweeps that are now registered:
+    /// none while it waits for gravity and for the first sweep, several afterwards.
     ///
     /// # Errors
     ///
     /// If the sweep is empty, or ends before the last one.
     pub fn register(&mut self, sweep: &Sweep, imu: &[ImuData]) -> Result<Vec<RegisteredSweep>, SweepError> {
-        // 1. Motion: bias, gravity and velocity are followed sample by sample.
+        // 1. Motion: the filter updates bias, gravity and velocity with each sample.
         imu.iter().for_each(|sample| self.add_imu(sample));
-        // 2. The sweep waits for its turn.
+        // 2. Queue the sweep.
         self.push(sweep.clone())?;
-        // 3. Register all whose turn has come.
+        // 3. Register all sweeps that need not wait.
         Ok(std::iter::from_fn(|| self.advance(None)).collect())
     }
 
-    /// Gives the next sweep that is registered; none if more has to come first. Where it fits no plane, another map is
-    /// asked. Sweeps that contradict the map are held back until others fit, or until it is clear that the pose is lost:
-    /// then they are registered once more, and the first of them begins a new piece of map.
+    /// Gives the next registered sweep; none if more data has to come first. Where a sweep fits no plane,
+    /// `fallback` is asked. Sweeps that contradict the map are held back until others fit, or until the
+    /// pose counts as lost: then they are registered once more, and the first of them begins a new piece
+    /// of map.
     pub fn advance(&mut self, mut fallback: Option<&mut (dyn Fallback + '_)>) -> Option<RegisteredSweep> {
         while self.ready.is_empty() {
-            // 1. Wait until an IMU has told which way is up, or until it is clear that there is none.
+            // 1. Wait until an IMU has measured the vertical, or until it is clear that there is none.
             if !self.begin_if_ready(None) {
                 return None;
             }
             let registered = match &mut self.state {
                 State::WaitingForGravity(_) => return None,
-                // 2. The first sweep waits for the second, which tells how fast everything was already moving.
+                // 2. The first sweep waits for the second, which determines the initial velocity.
                 State::FirstSweep(_) => self.register_first()?,
-                // 3. All others are registered to planes that those before them saw, unless they see nothing of the place.
+                // 3. All others are registered to planes of earlier sweeps, unless they are occluded.
                 State::Tracking(tracker) => {
                     let loss = &self.settings.loss;
                     if self.waiting.front().is_some_and(|sweep| self.occlusion.hides(sweep, tracker, loss)) {
@@ -131,7 +132,7 @@ impl LidarOdometry {
                     vec![tracker.register(gap, sweep, fallback, &mut self.issues)]
                 }
             };
-            // 4. Hand it over, hold it back, or begin anew.
+            // 4. Hand it over, hold it back, or begin a new piece of map.
             registered.into_iter().for_each(|registered| self.judge(registered));
         }
         if self.is_ended && self.waiting.is_empty() {
@@ -161,9 +162,9 @@ impl LidarOdometry {
         }
     }
 
-    /// Ends the piece of map that sweeps do not fit any more, and registers everything since then once more, to a map that
-    /// knows nothing yet. If that piece had hardly begun, it begins with the newest sweeps: those before them may not tell how
-    /// it moved.
+    /// Ends the piece of map that sweeps no longer fit, and registers all data since then once more, to an
+    /// empty map. If that piece had hardly begun, the new one begins with the newest sweeps, since earlier
+    /// ones may not determine the motion.
     fn begin_anew(&mut self, since: Time) {
         let initialisation =
             State::WaitingForGravity(GravityInitialisation::new(self.settings.initialisation.leveling_time));
@@ -182,7 +183,7 @@ impl LidarOdometry {
         replay.odometry.iter().for_each(|pose| self.add_odometry(pose));
     }
 
-    /// The first sweep, and those after it that told how it was moving.
+    /// Registers the first sweep, and those after it from which its velocity was determined.
     fn register_first(&mut self) -> Option<Vec<RegisteredSweep>> {
         let State::FirstSweep(first) = &mut self.state else { return None };
         let sweeps = self.waiting.make_contiguous();
@@ -245,8 +246,8 @@ impl LidarOdometry {
         }
     }
 
-    /// Begins the trajectory if enough is known, or if too little comes to wait for more; sweeps may wait elsewhere, too.
-    /// Whether it has begun.
+    /// Begins the trajectory if the data suffices, or if too little comes to wait for more. `elsewhere`:
+    /// sweeps that wait outside. Gives whether it has begun.
     pub fn begin_if_ready(&mut self, elsewhere: Option<&WaitingSweeps>) -> bool {
         let waiting = self.waiting_sweeps(elsewhere);
         if let State::WaitingForGravity(initialisation) = &self.state
@@ -257,7 +258,7 @@ impl LidarOdometry {
         !matches!(self.state, State::WaitingForGravity(_))
     }
 
-    /// Begins the trajectory with what is known, if that is anything at all.
+    /// Begins the trajectory with the data so far, if there is any.
     pub fn begin(&mut self, elsewhere: Option<&WaitingSweeps>) {
         let waiting = self.waiting_sweeps(elsewhere);
         let State::WaitingForGravity(initialisation) = &mut self.state else { return };
@@ -271,17 +272,17 @@ impl LidarOdometry {
         self.state = State::FirstSweep(Box::new(FirstMotion::new(motion)));
     }
 
-    /// Says that no more sweeps will come: what waits need not wait any longer.
+    /// Marks the end of the data: sweeps that wait for more are registered as they are.
     pub fn end(&mut self) {
         self.is_ended = true;
     }
 
-    /// Since when sweeps fitted nothing, if the last ones of all did not.
+    /// Time since which sweeps have not fitted, if the last ones of all did not.
     pub fn lost_since(&self) -> Option<Time> {
         self.lost_since
     }
 
-    /// The sweeps that wait here, and then elsewhere.
+    /// The sweeps that wait here, followed by those that wait outside.
     fn waiting_sweeps(&self, elsewhere: Option<&WaitingSweeps>) -> Option<WaitingSweeps> {
         let (Some(first), Some(last)) = (self.waiting.front(), self.waiting.back()) else {
             return elsewhere.copied();
@@ -290,7 +291,7 @@ impl LidarOdometry {
         Some(WaitingSweeps { first_point: first.begin(), first_end: first.end, last_end })
     }
 
-    /// Where it stands.
+    /// Its phase.
     pub fn phase(&self) -> Phase {
         self.state.phase()
     }
@@ -300,12 +301,12 @@ impl LidarOdometry {
         self.state.motion().map(|motion| motion.has_imu)
     }
 
-    /// Time of the last pose, or of the beginning; none before.
+    /// Time of the last pose, or of the start of the trajectory; none before.
     pub fn last_pose_time(&self) -> Option<Time> {
         self.state.motion()?.extrapolator.last_pose_time()
     }
 
-    /// The maps around that sweeps are registered to, oldest first.
+    /// The active local maps that sweeps are registered to, oldest first.
     pub fn local_maps(&self) -> impl Iterator<Item = &GrowingMap> {
         let tracker = match &self.state {
             State::Tracking(tracker) => Some(tracker),
@@ -314,7 +315,7 @@ impl LidarOdometry {
         tracker.into_iter().flat_map(|tracker| tracker.local_map().all())
     }
 
-    /// Intervals in which sweeps left a direction unconstrained, in order of their beginning.
+    /// Degenerate intervals, in order of their beginning.
     pub fn degenerate_intervals(&self) -> Vec<DegenerateInterval> {
         let mut all = self.ended.intervals.clone();
         if let State::Tracking(tracker) = &self.state {
@@ -323,18 +324,18 @@ impl LidarOdometry {
         all
     }
 
-    /// How many times as far as sweeps the odometry of the platform goes, where that is clearly another number than one: its motions
-    /// are corrected by it.
+    /// Ratio of the distance by the odometry of the platform to that by sweeps, where it differs
+    /// significantly from one; its motions are corrected by it.
     pub fn odometry_factor(&self) -> Option<f64> {
         self.state.motion()?.odometry_factor()
     }
 
-    /// What was wrong with the data so far.
+    /// Faults of the data so far.
     pub fn issues(&self) -> &Issues {
         &self.issues
     }
 
-    /// What was wrong with poses, odometry and IMU since the first sweep.
+    /// Faults of poses, odometry and IMU since the first sweep.
     pub fn extrapolator_counts(&self) -> ExtrapolatorCounts {
         let now = self.state.motion().map(|motion| motion.extrapolator.counts()).unwrap_or_default();
         self.ended.counts.plus(&now)

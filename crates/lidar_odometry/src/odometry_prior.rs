@@ -1,5 +1,5 @@
-//! What the odometry of the platform says of the next motion, and what sweeps say of the odometry: by how much its motions are to be
-//! corrected, how far they are off then, and whether it fails altogether.
+//! Prediction of the next motion from the odometry of the platform, and estimation of its calibration, its
+//! noise and its failures from registered sweeps.
 
 mod calibration;
 mod trust;
@@ -15,36 +15,39 @@ use crate::settings::MotionPriorSettings;
 use calibration::{Calibration, OdometryMotion};
 use trust::{OdometryTrust, Predicted, TwoMotions};
 
-/// Follows how far odometry may be believed.
+/// Estimates how far odometry can be trusted.
 #[derive(Clone, Debug)]
 pub(crate) struct OdometryPrior {
-    /// Predicts as if there was no odometry, once there is some.
+    /// Extrapolator that ignores odometry, once there is odometry.
     without: Option<PoseExtrapolator>,
     calibration: Calibration,
     trust: OdometryTrust,
-    /// Whether the last sweep told the whole motion. Where it did not, constant velocity goes on with what was assumed.
+    /// Whether the last sweep constrained the whole motion. Where it did not, constant velocity continues
+    /// an assumed motion.
     velocity_is_known: bool,
     settings: MotionPriorSettings,
 }
 
-/// What is expected of a sweep where there is odometry.
+/// Predictions for a sweep where there is odometry.
 #[derive(Clone, Debug)]
 pub(crate) struct OdometryPrediction {
-    /// As odometry says, corrected.
+    /// By odometry, corrected.
     pub measured: TrajectorySegment,
-    /// As the platform goes on without odometry.
+    /// Without odometry.
     pub otherwise: TrajectorySegment,
     told: OdometryMotion,
     two: TwoMotions,
 }
 
-/// Where a sweep was found to end, as far as its points say.
+/// Position at the end of a sweep, as far as its points constrain it.
 pub(crate) struct MeasuredPlace {
     pub local_from_tracking: Rigid3,
-    /// Covariance of the place as points alone tell it, m² in the local map, and what the prior says of it along each axis, m².
+    /// Covariance of the position by points alone, m² in the local map, and variance of the prior along
+    /// each axis, m².
     pub covariance: Matrix3<f64>,
     pub of_prior: f64,
-    /// Directions along which points tell it, orthonormal in the local map, and the variance along each, m².
+    /// Directions along which points constrain it, orthonormal in the local map, and the variance along
+    /// each, m².
     pub told: Vec<(Vector3, f64)>,
 }
 
@@ -59,14 +62,15 @@ impl OdometryPrior {
         }
     }
 
-    /// Says that there is odometry: from now on both motions are predicted. `extrapolator` has not taken it yet.
+    /// To be called when there is odometry: from now on both motions are predicted. `extrapolator` has not
+    /// taken it yet.
     pub fn begin(&mut self, extrapolator: &PoseExtrapolator) {
         if self.without.is_none() {
             self.without = Some(extrapolator.without_odometry());
         }
     }
 
-    /// What predicts without odometry, to be told what the other extrapolator is told.
+    /// The extrapolator without odometry, which needs the same poses as the other one.
     pub fn without_odometry(&mut self) -> Option<&mut PoseExtrapolator> {
         self.without.as_mut()
     }
@@ -78,8 +82,8 @@ impl OdometryPrior {
         }
     }
 
-    /// What is expected of a sweep for which odometry told this, in the segment as it was told. `rotation_is_measured`: both
-    /// rotations are a gyroscope's. None where there is no odometry.
+    /// Predictions for a sweep. `told`: the segment by odometry, without correction.
+    /// `rotation_is_measured`: both rotations are those of a gyroscope. None where there is no odometry.
     pub fn predict(
         &mut self,
         told: &TrajectorySegment,
@@ -107,13 +111,13 @@ impl OdometryPrior {
         Some(OdometryPrediction { measured, otherwise, told: motion, two })
     }
 
-    /// Takes where a sweep was found, whether there was odometry or not; none where it fits nothing.
+    /// Takes the position of a sweep, whether there was odometry or not; none where it does not fit.
     pub fn saw(&mut self, found: Option<&MeasuredPlace>) {
         self.velocity_is_known = found.is_some_and(|found| found.told.len() == 3);
     }
 
-    /// Takes where a sweep was found that began at `start` in the local map, for which this was predicted. `is_sure`: it fits a map
-    /// that was not made of the last few sweeps alone.
+    /// Takes the position of a sweep that began at `start` in the local map, and its predictions.
+    /// `is_sure`: the sweep fits a map that was not made of the last few sweeps alone.
     pub fn learn(
         &mut self,
         predicted: &OdometryPrediction,
@@ -128,7 +132,7 @@ impl OdometryPrior {
         }
     }
 
-    /// Whether odometry is rather believed than not.
+    /// Whether odometry is more likely to work than to fail.
     pub fn works(&self) -> bool {
         self.trust.works()
     }
@@ -142,12 +146,14 @@ impl OdometryPrior {
         }
     }
 
-    /// Whether the last sweep told the whole motion, so that going on from there is as good as measuring.
+    /// Whether the last sweep constrained the whole motion, so that constant velocity from there is as
+    /// good as a measurement.
     pub fn velocity_is_known(&self) -> bool {
         self.velocity_is_known
     }
 
-    /// How many times as far as sweeps odometry goes, where it is believed and that is clearly another number than one.
+    /// Ratio of the distance by odometry to that by sweeps, where odometry is trusted and the ratio
+    /// differs significantly from one.
     pub fn factor(&self) -> Option<f64> {
         self.calibration.factor().filter(|_| self.trust.works())
     }
@@ -159,7 +165,7 @@ impl OdometryPrior {
 }
 
 impl OdometryPrediction {
-    /// Whether it matters which of the two motions is right.
+    /// Whether the two motions differ significantly.
     pub fn they_differ(&self) -> bool {
         self.two.differ()
     }

@@ -1,4 +1,4 @@
-//! The phases of an odometry.
+//! Phases of a lidar odometry.
 
 use portolan_motion::GravityInitialisation;
 
@@ -7,21 +7,22 @@ use crate::settings::InitialisationSettings;
 use crate::start::FirstMotion;
 use crate::tracker::Tracker;
 
-/// Where an odometry stands.
+/// Phase of a lidar odometry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
-    /// Sweeps wait until an IMU has told which way is up, or until it is clear that there is none.
+    /// Sweeps wait until an IMU has measured the vertical, or until it is clear that there is none.
     WaitingForGravity,
-    /// The first sweep waits for the second, which tells how fast everything was already moving, and for more where that is
-    /// not clear.
+    /// The first sweep waits for the second, which determines the initial velocity, and for more where
+    /// that is ambiguous.
     FirstSweep,
-    /// The map is made of a few key frames; it is registered to, but nothing is learned from it yet.
+    /// The map consists of a few key frames: sweeps are registered to it, but nothing is
+    /// learned from the results yet.
     WarmUp,
     /// All else.
     Tracking,
 }
 
-/// What an odometry knows in each phase.
+/// State of a lidar odometry in each phase.
 pub(crate) enum State {
     WaitingForGravity(GravityInitialisation),
     FirstSweep(Box<FirstMotion>),
@@ -45,7 +46,7 @@ impl State {
         }
     }
 
-    /// What is known of the motion, once gravity is.
+    /// State of motion, once gravity is known.
     pub fn motion(&self) -> Option<&MotionState> {
         match self {
             Self::WaitingForGravity(_) => None,

@@ -1,5 +1,5 @@
-//! Pieces of map: what is kept while it is not clear whether the pose is lost, so that a new piece begins where the old one
-//! ended, and what is handed over then.
+//! Pieces of map: buffers the data while it is undecided whether the pose is lost, so that a new piece can
+//! begin where the old one ended, and hands over the old piece.
 
 use std::collections::VecDeque;
 
@@ -12,32 +12,33 @@ use crate::settings::LossSettings;
 use crate::sweep::Sweep;
 use crate::tracker::{RegisteredSweep, Tracker};
 
-/// Memory is bounded also where no sweep comes: so many samples are kept.
+/// Maximum number of samples kept, which bounds memory also if no sweep comes.
 const MOST_SAMPLES: usize = 20_000;
 
-/// The beginning of a new piece of map: sweeps did not fit the one before any more.
+/// Beginning of a new piece of map: sweeps no longer fitted the previous one.
 #[derive(Clone, Debug)]
 pub struct PieceBegun {
     /// End of the first sweep that did not fit.
     pub since: Time,
-    /// From the local map that begins to the one that ended: as if the platform had stayed where it was last found.
+    /// Transform from the new local map to the old one, as if the platform had stayed at its last accepted
+    /// pose.
     pub ended_from_begun: Rigid3,
-    /// Planes of the maps that were being filled, oldest first.
+    /// Planar voxel maps that were being filled, oldest first.
     pub maps: Vec<PlaneMap>,
 }
 
-/// What came since a sweep last fitted, and a little before.
+/// Data since the last sweep that fitted, and shortly before.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Recent {
     /// Sweeps that contradict the map.
     held: Vec<RegisteredSweep>,
     imu: VecDeque<ImuData>,
     odometry: VecDeque<OdometryData>,
-    /// Where the last sweep was that fitted.
+    /// Pose of the last sweep that fitted.
     last_sure: Rigid3,
 }
 
-/// What is to be registered once more, by a map that knows nothing yet.
+/// Data to be registered once more, to an empty map.
 pub(crate) struct Replay {
     pub sweeps: Vec<Sweep>,
     pub imu: VecDeque<ImuData>,
@@ -58,7 +59,7 @@ impl Recent {
         self.held.push(sweep);
     }
 
-    /// Takes note of a sweep that fits: older samples are not needed any more.
+    /// Handles a sweep that fits: older samples are no longer needed.
     pub fn fitted(&mut self, sweep: &RegisteredSweep) {
         let begin = sweep.sweep.begin();
         while self.imu.front().is_some_and(|sample| sample.time < begin) {
@@ -70,13 +71,13 @@ impl Recent {
         self.last_sure = sweep.local_from_tracking;
     }
 
-    /// Sweeps that were held back.
+    /// Gives the sweeps that were held back.
     pub fn release(&mut self) -> Vec<RegisteredSweep> {
         std::mem::take(&mut self.held)
     }
 
-    /// Sweeps that were held back, but for so many of the newest: where the last one was that fitted, since nothing tells how
-    /// it moved since.
+    /// Gives the sweeps that were held back except the newest ones, at the pose of the last sweep that
+    /// fitted, since their motion is unknown.
     pub fn give_up_all_but(&mut self, newest: usize) -> Vec<RegisteredSweep> {
         let kept = self.held.split_off(self.held.len().saturating_sub(newest));
         let mut given_up = std::mem::replace(&mut self.held, kept);
@@ -84,13 +85,14 @@ impl Recent {
         given_up
     }
 
-    /// From a local map that begins at the last sweep that fitted to the one that ended: both are level.
+    /// Transform from a local map that begins at the last sweep that fitted to the old one; both are
+    /// level.
     pub fn ended_from_begun(&self) -> Rigid3 {
         let heading = quaternion_from_angle_axis(&(Vector3::z() * yaw(&self.last_sure.rotation)));
         Rigid3::from_parts(self.last_sure.translation, heading)
     }
 
-    /// Everything that came since the last sweep that fitted.
+    /// All data since the last sweep that fitted.
     pub fn replay(&mut self) -> Replay {
         let sweeps = self.release().into_iter().map(|registered| registered.sweep).collect();
         Replay { sweeps, imu: std::mem::take(&mut self.imu), odometry: std::mem::take(&mut self.odometry) }
@@ -104,23 +106,23 @@ fn keep<T>(samples: &mut VecDeque<T>, sample: T) {
     }
 }
 
-/// Attempts to begin a piece of map. Where they fail one after the other, the next comes after twice the time, so that their
-/// number is bounded.
+/// Attempts to begin a piece of map. After each consecutive failure the wait for the next attempt doubles,
+/// which bounds their number.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Attempts {
-    /// Of those since a piece last went beyond its first sweeps.
+    /// Number of failures since a piece last went beyond its first sweeps.
     failed: u32,
     /// End of the first sweep of this piece.
     begun_at: Option<Time>,
 }
 
 impl Attempts {
-    /// A piece has begun with a sweep that ended then.
+    /// A piece has begun; its first sweep ended at this time.
     pub fn begun(&mut self, end: Option<Time>) {
         self.begun_at = end;
     }
 
-    /// A piece has ended, after more than its first sweeps or not.
+    /// A piece has ended. `has_succeeded`: it went beyond its first sweeps.
     pub fn ended(&mut self, has_succeeded: bool) {
         self.failed = if has_succeeded { 0 } else { self.failed.saturating_add(1) };
     }
@@ -133,7 +135,7 @@ impl Attempts {
     }
 }
 
-/// What stays of pieces that ended.
+/// Results kept of pieces that ended.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Ended {
     pub intervals: Vec<DegenerateInterval>,

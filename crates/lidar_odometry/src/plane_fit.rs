@@ -1,8 +1,9 @@
-//! The plane through the hits in one voxel: incremental moments, fit, and what makes a plane unreliable.
+//! Fits the plane through the hits in one voxel: incremental moments, fit, and reasons for an unreliable
+//! plane.
 //!
-//! Moments are updated hit by hit (Welford 1962). The normal is the eigenvector of the smallest eigenvalue of the
-//! covariance (Yuan et al., "Efficient and Probabilistic Adaptive Voxel Mapping for Accurate Online LiDAR Odometry",
-//! 2022, equations 5 and 8).
+//! Moments are updated hit by hit (Welford 1962). The normal is the eigenvector of the smallest eigenvalue
+//! of the covariance (Yuan et al., "Efficient and Probabilistic Adaptive Voxel Mapping for Accurate Online
+//! LiDAR Odometry", 2022, equations 5 and 8).
 
 use nalgebra as na;
 use portolan_geometry::Point3f;
@@ -11,16 +12,17 @@ use crate::plane_map::{Plane, Unreliable};
 use crate::settings::PlaneFitSettings;
 use crate::settings::constants::plane_map::{MAX_HITS, MIN_HITS};
 
-/// Moments of the hits in a voxel and the normal of their plane: all that most hits need, in one line of the cache.
+/// Moments of the hits in a voxel and the normal of their plane: all that most hits need, in one cache
+/// line.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
 pub(super) struct PlaneCell {
     pub mean: na::Vector3<f32>,
     /// Sum of outer products of differences from the mean: xx, xy, xz, yy, yz, zz.
     scatter: [f32; 6],
-    /// Sum of unit vectors from the hits to where they were seen from.
+    /// Sum of unit vectors from the hits to the origins of their beams.
     toward: na::Vector3<f32>,
-    /// To the side from which the hits were seen, if that is one.
+    /// On the side from which the hits were seen, if that is known.
     pub normal: na::Vector3<f32>,
     pub count: u16,
     pub is_plane: bool,
@@ -30,18 +32,18 @@ pub(super) struct PlaneCell {
 
 const _: () = assert!(size_of::<PlaneCell>() == 64);
 
-/// How well the plane of a cell is known.
+/// Quality of the plane of a cell.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct PlaneFit {
     /// Mean square distance of the hits from the plane.
     pub variance: f32,
-    /// Square of how far the normal may be off for the noise of the hits, rad².
+    /// Variance of the normal by the noise of the hits, rad².
     pub normal_variance: f32,
-    /// Why the plane may be an artefact of the scan pattern.
+    /// Reason why the plane may be an artefact of the scan pattern.
     pub unreliable: Option<Unreliable>,
 }
 
-/// Whether so many hits are fitted: a third more than last time.
+/// Whether the plane is fitted at this number of hits: each time there are a third more than last time.
 const IS_FITTED: [bool; MAX_HITS as usize + 1] = {
     let mut is_fitted = [false; MAX_HITS as usize + 1];
     let mut count = MIN_HITS as usize;
@@ -82,13 +84,13 @@ impl PlaneCell {
         }
     }
 
-    /// Whether no hit changes it any more.
+    /// Whether no further hit changes it.
     #[inline]
     pub fn is_full(&self) -> bool {
         self.count >= MAX_HITS
     }
 
-    /// Whether it is known to be a plane, so that smaller voxels need not know more.
+    /// Whether it is certain to be a plane, so that smaller voxels are not needed.
     #[inline]
     pub fn is_settled(&self, settings: &PlaneFitSettings) -> bool {
         self.count > settings.settled_hits && self.is_plane
@@ -100,8 +102,8 @@ impl PlaneCell {
         self.is_one_sided && self.normal.dot(toward) < -least_side(settings)
     }
 
-    /// Counts a hit (Welford's update) seen from the direction `toward` (unit length, or zero if that is not
-    /// known), and fits the plane anew, into `fit`, each time the hits are a third more.
+    /// Adds a hit (Welford's update) seen from the direction `toward` (unit length, or zero if unknown),
+    /// and fits the plane anew, into `fit`, each time the number of hits has grown by a third.
     #[inline]
     pub fn add(
         &mut self,
@@ -119,7 +121,7 @@ impl PlaneCell {
         let before = point.coords - self.mean;
         self.mean += before * (1.0 / f32::from(self.count));
         let after = point.coords - self.mean;
-        // One by one, because a loop over pairs of axes is not always unrolled.
+        // Written out, because a loop over pairs of axes is not always unrolled.
         let [xx, xy, xz, yy, yz, zz] = &mut self.scatter;
         *xx += before.x * after.x;
         *xy += before.x * after.y;
@@ -148,7 +150,8 @@ impl PlaneCell {
         let (ratio, spread) = (settings.min_spread_ratio, settings.min_spread_per_edge * edge);
         self.is_plane =
             across <= thickness * thickness && along >= ratio * ratio * across && along >= spread * spread;
-        // Of the slope of a line fitted to that many hits, along the direction in which they spread less.
+        // Variance of the slope of a line fitted to this number of hits, along the direction of the
+        // smaller spread.
         let normal_variance =
             across / along.max(f32::MIN_POSITIVE) * settings.hits_per_independent_one / count;
         let normal: na::Vector3<f32> = normal.cast();
@@ -167,14 +170,16 @@ impl PlaneCell {
     }
 }
 
-/// Cosine of the angle of incidence from which the side of a plane is known: three standard deviations of its normal.
+/// Cosine of the angle of incidence above which the side of a plane is certain: three standard deviations
+/// of its normal.
 #[inline]
 fn least_side(settings: &PlaneFitSettings) -> f32 {
     3.0 * settings.normal_noise as f32
 }
 
-/// Whether the smallest eigenvalue of a covariance (m²) is clearly larger than the square of a thickness, metres: what remains
-/// without it has positive principal minors (Sylvester's criterion). Sooner told than the eigenvalue.
+/// Whether the smallest eigenvalue of a covariance (m²) is clearly larger than the square of a thickness,
+/// metres: the covariance minus that square has positive principal minors (Sylvester's criterion). Faster
+/// to compute than the eigenvalue.
 fn is_thicker(covariance: &na::Matrix3<f64>, thickness: f64) -> bool {
     const CLEARLY: f64 = 1.0 + 1e-6;
     let least = CLEARLY * thickness * thickness;
@@ -182,7 +187,7 @@ fn is_thicker(covariance: &na::Matrix3<f64>, thickness: f64) -> bool {
     let (xy, xz, yz) = (covariance.m12, covariance.m13, covariance.m23);
     let minor = xx * yy - xy * xy;
     let determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz);
-    // Rounding may be as large as this.
+    // Bound of rounding errors.
     let smallest = 1e-9 * covariance.trace().powi(2);
     xx > 0.0 && minor > smallest && determinant > smallest * covariance.trace()
 }
@@ -200,7 +205,8 @@ pub(super) fn smallest_direction(m: &na::Matrix3<f64>) -> ([f64; 3], na::Vector3
     let largest = third + 2.0 * spread * angle.cos();
     let smallest = third + 2.0 * spread * (angle + 2.0 * std::f64::consts::FRAC_PI_3).cos();
     let values = [smallest, 3.0 * third - largest - smallest, largest];
-    // Rows of m − λ are at right angles to the eigenvector: the longest of their products is the best.
+    // Rows of m − λ are perpendicular to the eigenvector: the longest of their cross products is the most
+    // precise.
     let shifted = m - na::Matrix3::from_diagonal_element(smallest);
     let row = |i: usize| shifted.row(i).transpose();
     let (x, y, z) = (row(0), row(1), row(2));

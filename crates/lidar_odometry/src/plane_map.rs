@@ -1,7 +1,7 @@
-//! The planar voxel map: voxels of three sizes, of which the largest flat one counts.
+//! The planar voxel map: voxels of three sizes, of which the largest planar one is used.
 //!
-//! Octrees of three levels (Yuan et al. 2022, section III): every hit is counted in the voxel of each
-//! size around it, until a voxel has settled to be a plane.
+//! Octrees of three levels (Yuan et al. 2022, section III): every hit is counted in the voxel of each size
+//! around it, until a voxel is settled as a plane.
 
 mod look_up;
 mod records;
@@ -21,21 +21,22 @@ use crate::voxel_tree::{LEVELS, SMALLEST_IN_ALL, SMALLEST_IN_LARGEST, Smallest, 
 pub struct Plane {
     /// A point on it, metres.
     pub point: na::Vector3<f32>,
-    /// Unit length; to the side from which it was seen, if it was seen from one.
+    /// Unit length; on the side from which the plane was seen, if that is known.
     pub normal: na::Vector3<f32>,
     /// Mean square distance of the hits from it, m².
     pub variance: f32,
-    /// Square of how far the normal may be off for the noise of the hits, rad².
+    /// Variance of the normal by the noise of the hits, rad².
     pub normal_variance: f32,
-    /// Why it may be an artefact of the scan pattern: beams that meet uneven ground always at the same distance, now
-    /// higher and now lower, draw planes that move with the scanner.
+    /// Reason why it may be an artefact of the scan pattern: beams that hit uneven ground always at the
+    /// same distance, now higher and now lower, make planes that move with the scanner.
     pub unreliable: Option<Unreliable>,
 }
 
-/// Why a plane may be an artefact of the scan pattern.
+/// Reason why a plane may be an artefact of the scan pattern.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unreliable {
-    /// Its hits were seen along it: they lie in the cone that a beam sweeps, whatever it meets.
+    /// Its hits were seen at grazing incidence: they are in the cone that a beam sweeps, whatever surface
+    /// it hits.
     GrazingIncidence,
     /// It is level, and was seen from below.
     DownwardNormal,
@@ -49,32 +50,33 @@ pub struct PlaneMap {
     settings: PlaneFitSettings,
     voxels: VoxelTree,
     cells: Vec<PlaneCell>,
-    /// Of each cell.
+    /// The fit of each cell.
     fits: Vec<PlaneFit>,
 }
 
-/// No voxel has this number.
+/// Number that marks a missing voxel.
 const NO_VOXEL: usize = usize::MAX;
-/// So many hits are inserted at once. (Numbers of new voxels, and with them the order of planes, follow from it.)
+/// Number of hits that are inserted at once. (The numbers of new voxels, and with them the order of
+/// planes, follow from it.)
 pub(crate) const BATCH: usize = 32;
 
 /// A hit to be inserted.
 #[derive(Clone, Copy, Default)]
 struct Hit {
     point: Point3f,
-    /// Unit vector to where it was seen from, or zero.
+    /// Unit vector to the origin of the beam, or zero.
     toward: na::Vector3<f32>,
-    /// None for one that is not finite or too far away.
+    /// None for a hit that is not finite or too far away.
     smallest: Option<Smallest>,
 }
 
-/// A hit that voxels of the next size want.
+/// A hit to be inserted into voxels of the next size, too.
 #[derive(Clone, Copy, Default)]
 struct Open {
-    /// Its place among the hits.
+    /// Its index among the hits.
     hit: u8,
     smallest: Smallest,
-    /// The number of the voxel around it of the size before.
+    /// Number of the surrounding voxel of the previous size.
     larger: u32,
 }
 
@@ -91,7 +93,7 @@ impl PlaneMap {
         Self::with_settings(edge, PlaneFitSettings::default())
     }
 
-    /// How planes are fitted.
+    /// Settings of the plane fit.
     pub(crate) fn settings(&self) -> &PlaneFitSettings {
         &self.settings
     }
@@ -121,8 +123,8 @@ impl PlaneMap {
             + self.fits.capacity() * size_of::<PlaneFit>()
     }
 
-    /// Adds a hit (metres, in the frame of the map) of which nobody knows from where it was seen. One that is
-    /// not finite or far away changes nothing.
+    /// Adds a hit (metres, in the frame of the map) with unknown origin of its beam. A hit that is not
+    /// finite or too far away changes nothing.
     pub fn insert(&mut self, point: &Point3f) {
         self.insert_hits(&[Hit::new(self, point, na::Vector3::zeros())]);
     }
@@ -135,16 +137,16 @@ impl PlaneMap {
         }
     }
 
-    /// Adds a hit that was seen from `origin` (both metres, in the frame of the map).
+    /// Adds a hit of a beam from `origin` (both metres, in the frame of the map).
     pub fn insert_seen_from(&mut self, point: &Point3f, origin: &Point3f) {
         self.insert_all(std::iter::once(*point), origin);
     }
 
-    /// Adds hits that were seen from `origin` (all metres, in the frame of the map).
+    /// Adds hits of beams from `origin` (all metres, in the frame of the map).
     pub fn insert_all(&mut self, points: impl Iterator<Item = Point3f>, origin: &Point3f) {
         let mut hits = [Hit::default(); BATCH];
         let mut filled = 0;
-        // A loop by hand: chains of iterators are not always compiled into one.
+        // An explicit loop: chains of iterators are not always compiled into one.
         for point in points {
             let toward = origin - point;
             let distance = toward.norm();
@@ -159,15 +161,16 @@ impl PlaneMap {
         self.insert_hits(&hits[..filled]);
     }
 
-    /// A place in smallest voxels from the corner of all of them.
+    /// A position in units of the smallest voxels, from the corner of the whole map.
     #[inline]
     fn scaled(&self, place: &Point3f) -> na::Vector3<f32> {
         let to_corner = VOXEL_OFFSET * SMALLEST_IN_LARGEST + 0.5 * SMALLEST_IN_ALL;
         place.coords * self.smallest_per_metre + na::Vector3::repeat(to_corner)
     }
 
-    /// Adds at most [`BATCH`] hits, size by size of voxels. All voxels of a size are looked up, and all read, before the first
-    /// of them is changed, so that their reads overlap: the time goes into waiting for memory.
+    /// Adds at most [`BATCH`] hits, one voxel size after the other. All voxels of a size are looked up and
+    /// read before the first of them is changed, so that their reads overlap: most of the time is memory
+    /// latency.
     fn insert_hits(&mut self, hits: &[Hit]) {
         let mut open = [Open::default(); BATCH];
         let mut num_open = 0;
@@ -180,7 +183,7 @@ impl PlaneMap {
             for (number, open) in numbers.iter_mut().zip(&open[..num_open]) {
                 *number = self.number_of(open, level).unwrap_or(NO_VOXEL);
             }
-            // A loop without decisions, so that all these reads are under way at once.
+            // A loop without branches, so that all these reads are under way at once.
             let mut counts = [0; BATCH];
             for (count, number) in counts.iter_mut().zip(&numbers[..num_open]) {
                 *count = self.cells.get(*number).map_or(0, |cell| cell.count);
@@ -206,14 +209,14 @@ impl PlaneMap {
         }
     }
 
-    /// Of a voxel that no hit changes any more: whether smaller ones want this hit.
+    /// Whether a hit in a voxel that no longer changes is also inserted into smaller ones.
     #[inline]
     fn goes_past(&self, number: usize, hit: &Hit) -> bool {
         let cell = &self.cells[number];
         !cell.is_settled(&self.settings) || cell.shows_other_side(&hit.toward, &self.settings)
     }
 
-    /// Adds a hit to a voxel of a size; whether smaller ones want it, too.
+    /// Adds a hit to a voxel of a size. Gives whether it is also inserted into smaller ones.
     #[inline]
     fn goes_on(&mut self, number: usize, level: u32, hit: &Hit) -> bool {
         let cell = &mut self.cells[number];
@@ -227,7 +230,7 @@ impl PlaneMap {
         !is_settled
     }
 
-    /// The number of the voxel of a size around a hit, if it is there.
+    /// The number of the voxel of a size around a hit, if it exists.
     #[inline]
     fn number_of(&self, open: &Open, level: u32) -> Option<usize> {
         match level {
@@ -236,7 +239,7 @@ impl PlaneMap {
         }
     }
 
-    /// The same; it is made if it is not there yet.
+    /// The same; the voxel is created if it does not exist.
     fn number_or_new(&mut self, open: &Open, level: u32) -> usize {
         self.number_of(open, level).unwrap_or_else(|| {
             self.cells.push(PlaneCell::new());
@@ -248,14 +251,14 @@ impl PlaneMap {
         })
     }
 
-    /// The plane near a place: that of the largest flat voxel around it, or of the neighbour across the
-    /// nearest side of the largest voxel.
+    /// The plane near a position: that of the largest planar voxel around it, or of the neighbour across
+    /// the nearest side of the largest voxel.
     pub fn plane_near(&self, place: &Point3f) -> Option<Plane> {
         self.plane_seen(place, &na::Vector3::zeros())
     }
 
-    /// The plane near a place as [`Self::plane_near`] chooses it, of those that are not seen from the other side than
-    /// from the direction `toward` (unit length).
+    /// The plane near a position as [`Self::plane_near`] chooses it, among those that are not seen from
+    /// the side opposite to the direction `toward` (unit length).
     #[inline]
     pub fn plane_seen(&self, place: &Point3f, toward: &na::Vector3<f32>) -> Option<Plane> {
         let scaled = self.scaled(place);
@@ -263,7 +266,7 @@ impl PlaneMap {
             .or_else(|| self.plane_around(&across_nearest_side(&scaled), toward))
     }
 
-    /// The place is as [`Self::scaled`] gives it.
+    /// `scaled` is a position as [`Self::scaled`] gives it.
     #[inline]
     fn plane_around(&self, scaled: &na::Vector3<f32>, toward: &na::Vector3<f32>) -> Option<Plane> {
         let smallest = Smallest::around(scaled)?;
@@ -281,7 +284,8 @@ impl PlaneMap {
         None
     }
 
-    /// The map with nothing but its planes, to which no more is added. Those in larger voxels that are none are left out.
+    /// The map reduced to its planes, to which nothing more is added. Planes in larger voxels that are not
+    /// planes are left out.
     #[must_use]
     pub fn compacted(&self) -> Self {
         let (voxels, kept) = self.voxels.filtered(|number| self.cells[number].is_plane);
@@ -294,15 +298,15 @@ impl PlaneMap {
         }
     }
 
-    /// All planes that count with their number of hits, in the order in which their places were first
-    /// seen.
+    /// All planes that are used, with their number of hits, in the order in which their voxels were first
+    /// hit.
     pub fn planes(&self) -> impl Iterator<Item = (Plane, u32)> + '_ {
         let planes = self.cells.iter().zip(&self.fits).filter(|(cell, _)| cell.is_plane);
         planes.map(|(cell, fit)| (cell.plane(fit), u32::from(cell.count)))
     }
 }
 
-/// The place across the nearest side of the largest voxel, both as [`PlaneMap::scaled`] gives them.
+/// The position across the nearest side of the largest voxel, both as [`PlaneMap::scaled`] gives them.
 #[inline]
 fn across_nearest_side(scaled: &na::Vector3<f32>) -> na::Vector3<f32> {
     let to_side = (scaled / SMALLEST_IN_LARGEST).map(|v| v - (v as u32) as f32 - 0.5);
@@ -373,7 +377,8 @@ mod tests {
 
     #[test]
     fn ground_that_looks_down_is_doubtful() {
-        // A piece of ground 10 m off that falls away from the scanner with 0.25, seen from a height of `eye`.
+        // A piece of ground 10 m away that falls away from the scanner with slope 0.25, seen from a height
+        // of `eye`.
         let seen_from = |eye: f32| {
             let mut map = PlaneMap::new(1.0);
             let origin = Point3f::new(0.0, 0.0, eye);
@@ -383,14 +388,14 @@ mod tests {
             }
             map.plane_near(&Point3f::new(10.1, 0.1, 0.0)).unwrap()
         };
-        // From 1 m above the beams come through the ground, from 5 m they come from above.
+        // From 1 m above, the beams come from below the ground; from 5 m they come from above.
         let (from_below, from_above) = (seen_from(1.0), seen_from(5.0));
         assert!(
             from_below.normal.z < -0.9 && from_below.unreliable == Some(Unreliable::DownwardNormal),
             "{from_below:?}"
         );
         assert!(from_above.normal.z > 0.9 && from_above.unreliable.is_none(), "{from_above:?}");
-        // What hangs above the eye looks down rightly.
+        // A surface above the scanner rightly has a downward normal.
         assert_eq!(seen_from(-5.0).unreliable, None);
     }
 

@@ -1,10 +1,11 @@
 //! Vertical structures: trunks, poles, corners.
 //!
-//! Among trees hardly anything but the ground is flat, and planes of the rings in which beams meet it move with the
-//! scanner. Where nothing measures the motion, points of vertical structures are registered to the nearest ones of the
-//! sweeps before, too (point to point, as Vizzo et al., "KISS-ICP: In Defense of Point-to-Point ICP", 2023), horizontally
-//! alone: neighbouring beams meet a trunk at different heights. Where they stand in a row, as on a wall, they constrain
-//! nothing along it: nearest points are as near there wherever the scanner is (Segal, Haehnel and Thrun,
+//! Among trees hardly anything but the ground is planar, and planes of the rings in which beams hit it
+//! move with the scanner. Where no sensor measures the motion, points of vertical structures are therefore
+//! registered to the nearest ones of the previous sweeps, too (point to point, as Vizzo et al., "KISS-ICP:
+//! In Defense of Point-to-Point ICP", 2023). This is done horizontally only, since neighbouring beams hit
+//! a trunk at different heights. Where they are in a row, as on a wall, they do not constrain the
+//! direction along it, in which nearest points are always equally near (Segal, Haehnel and Thrun,
 //! "Generalized-ICP", 2009, express that by covariances).
 
 use nalgebra as na;
@@ -33,7 +34,7 @@ impl PoleSettings {
         0.5 * self.final_scale as f32
     }
 
-    /// Points farther off than this, metres, are not paired.
+    /// Maximum distance of paired points, metres.
     fn reach(&self) -> f32 {
         2.0 * self.final_scale as f32
     }
@@ -42,10 +43,10 @@ impl PoleSettings {
 /// A point of a vertical structure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PolePoint {
-    /// As it was measured.
+    /// The raw point.
     pub point: TimedPoint,
-    /// The direction of the wall in which it stands, a unit vector in the frame of the scanner; none if what is seen
-    /// there is as wide as it is long.
+    /// The direction of the wall that it is part of, a unit vector in the frame of the scanner; none if
+    /// its surroundings are as wide as they are long.
     pub wall_direction: Option<na::Vector3<f32>>,
 }
 
@@ -77,7 +78,7 @@ impl PolePoint {
     }
 }
 
-/// Those points that lie above others of their column.
+/// Points that are above others of their column.
 fn above_others(all: &[(TimedPoint, Point3f)], settings: &PoleSettings) -> Vec<(TimedPoint, Point3f)> {
     let mut columns = Cells::new(settings.column, [f32::INFINITY, f32::NEG_INFINITY]);
     let mut count = |place: &Point3f| {
@@ -95,10 +96,10 @@ fn above_others(all: &[(TimedPoint, Point3f)], settings: &PoleSettings) -> Vec<(
     standing.map(|(point, _)| *point).collect()
 }
 
-/// How many points a cell has, their sum and the sum of their outer products.
+/// Moments of the points in a cell: count, sum, and sum of outer products.
 type Moments = (f32, na::Vector2<f32>, na::Matrix2<f32>);
 
-/// How points spread horizontally.
+/// Horizontal spread of points, from which wall directions are computed.
 struct WallDirections(Cells<Moments>);
 
 impl WallDirections {
@@ -113,7 +114,7 @@ impl WallDirections {
         Self(cells)
     }
 
-    /// The direction of the wall around a place, if there is one.
+    /// The direction of the wall around a position, if there is one.
     fn around(&self, place: &Point3f, settings: &PoleSettings) -> Option<na::Vector2<f32>> {
         let [x, y, _] = self.0.around(place);
         let around =
@@ -125,7 +126,7 @@ impl WallDirections {
         let eigen = na::SymmetricEigen::new(products / count - mean * mean.transpose());
         let (long, narrow) = (eigen.eigenvalues.imax(), eigen.eigenvalues.imin());
         let [long_variance, narrow_variance] = [long, narrow].map(|i| eigen.eigenvalues[i]);
-        // Half as much as a wall through all of the neighbourhood.
+        // Minimum: half the spread of a wall through the whole neighbourhood.
         let length = 0.5 * (3.0 * settings.neighbourhood) / 12_f32.sqrt();
         let is_wall = long_variance > length * length
             && narrow_variance * ELONGATED_RATIO * ELONGATED_RATIO < long_variance;

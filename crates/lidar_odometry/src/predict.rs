@@ -1,4 +1,4 @@
-//! Hypotheses of the motion during a sweep: the one that is most likely, and others where it may be wrong.
+//! Hypotheses of the motion during a sweep: the most likely one, and alternatives where it may be wrong.
 
 use portolan_geometry::{Rigid3, Time, quaternion_from_angle_axis};
 use portolan_motion::PoseExtrapolator;
@@ -11,21 +11,21 @@ use crate::segment::{MotionSource, TrajectorySegment};
 use crate::sweep_registration::RegisteredSegment;
 use crate::witness::Discrepancy;
 
-/// What is expected of a sweep.
+/// Prediction of the motion during a sweep.
 pub(crate) struct Prediction {
-    /// As odometry, gyroscope and constant velocity say.
+    /// By odometry, gyroscope and constant velocity.
     pub extrapolated: TrajectorySegment,
-    /// The translation as the accelerometer says.
+    /// With the translation by the accelerometer.
     pub inertial: Option<InertialPrediction>,
-    /// Where the platform stood until now, if it stands.
+    /// Pose of the platform so far, if it stands still.
     pub standing: Option<Rigid3>,
     /// The first hypothesis.
     pub segment: TrajectorySegment,
-    /// Other hypotheses, in the order in which they are tried.
+    /// Alternatives, in the order in which they are tried.
     pub alternatives: Vec<Alternative>,
-    /// Whether the gyroscope was at the end of its range.
+    /// Whether the gyroscope was saturated.
     pub is_saturated: bool,
-    /// Where odometry leads, and where the platform goes without, if there is odometry.
+    /// Motion by odometry, and without it, if there is odometry.
     pub odometry: Option<OdometryPrediction>,
 }
 
@@ -33,14 +33,14 @@ pub(crate) struct Prediction {
 pub(crate) struct Alternative {
     pub reason: Reason,
     pub segment: TrajectorySegment,
-    /// It has to fit so many times better than the first.
+    /// Ratio by which its fit has to exceed that of the first.
     pub clearly_better: f64,
 }
 
 /// Why the first hypothesis may be wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Reason {
-    /// A single wrong sample of an accelerometer throws a prediction metres away.
+    /// A single wrong sample of an accelerometer moves a prediction by metres.
     AccelerometerFails,
     /// In a long gap the platform may have stopped, or a clock jumped.
     LongGap,
@@ -48,25 +48,25 @@ pub(crate) enum Reason {
     GyroscopeFails,
     /// Odometry may fail, or work again.
     OdometryFails,
-    /// A sweep contradicts the map where it is predicted, and fits elsewhere.
+    /// A sweep contradicts the map at its prediction, and fits elsewhere.
     OtherMotion,
 }
 
 impl Alternative {
-    /// Whether it is worth trying where the first hypothesis was registered like this.
+    /// Whether it is tried after this registration of the first hypothesis.
     fn is_worth_trying(&self, prediction: &Prediction, first: &RegisteredSegment) -> bool {
         match self.reason {
             Reason::AccelerometerFails => first.found.is_none(),
-            // Tried only where it says something else.
+            // It exists only where it differs from the first.
             Reason::LongGap | Reason::OdometryFails => true,
-            // It is no alternative of the prediction.
+            // It is not an alternative of the prediction.
             Reason::OtherMotion => false,
             Reason::GyroscopeFails => prediction.is_saturated || first.contradicts_rotation,
         }
     }
 }
 
-/// A hypothesis and how it was registered.
+/// A hypothesis and its registration.
 pub(crate) struct Registered {
     pub segment: TrajectorySegment,
     pub registered: RegisteredSegment,
@@ -75,19 +75,19 @@ pub(crate) struct Registered {
 }
 
 impl Registered {
-    /// How well it fits the map.
+    /// Its fit to the map.
     pub fn fit(&self) -> f64 {
         self.registered.fit
     }
 }
 
 impl Prediction {
-    /// Whether an IMU tells the translation: by an accelerometer that is relied on, or because it is at rest.
+    /// Whether an IMU measures the translation: by a reliable accelerometer, or because it is at rest.
     pub fn is_felt(&self) -> bool {
         self.standing.is_some() || matches!(self.segment.source, MotionSource::Inertial { .. })
     }
 
-    /// Registers the first hypothesis, then those others that are worth trying.
+    /// Registers the first hypothesis, then those alternatives that are worth trying.
     pub fn best(&self, register: impl Fn(&TrajectorySegment) -> RegisteredSegment) -> Registered {
         let registered = |segment: &TrajectorySegment, reason| Registered {
             segment: segment.clone(),
@@ -104,7 +104,7 @@ impl Prediction {
         })
     }
 
-    /// As a second witness corrects it, and how it moves then.
+    /// The prediction corrected by an independent measurement, with the resulting velocities.
     pub fn corrected(self, discrepancy: &Discrepancy) -> (Self, Option<Velocities>) {
         let segment = discrepancy.applied_to(&self.segment);
         let extrapolated = discrepancy.applied_to(&self.extrapolated);
@@ -112,7 +112,7 @@ impl Prediction {
         (Self { segment, extrapolated, inertial: None, alternatives: Vec::new(), ..self }, Some(velocities))
     }
 
-    /// The segment of the first hypothesis, or of that which is tried for a reason.
+    /// The segment of the first hypothesis, or of the alternative with this reason.
     pub fn segment_of(&self, reason: Option<Reason>) -> &TrajectorySegment {
         let alternative = self.alternatives.iter().find(|alternative| Some(alternative.reason) == reason);
         alternative.map_or(&self.segment, |alternative| &alternative.segment)
@@ -123,12 +123,13 @@ fn start_of(extrapolator: &PoseExtrapolator, end: Time) -> Time {
     extrapolator.last_pose_time().unwrap_or(end).min(end)
 }
 
-/// As an extrapolator predicts it.
+/// Segment predicted by an extrapolator.
 pub(crate) fn extrapolated(extrapolator: &mut PoseExtrapolator, end: Time) -> TrajectorySegment {
     TrajectorySegment::new(start_of(extrapolator, end), end, |t| extrapolator.extrapolate_pose(t))
 }
 
-/// As an extrapolator predicts it, but rotating as the last poses did instead of as a gyroscope says.
+/// Segment predicted by an extrapolator, but with the rotation rate of the last poses instead of that of a
+/// gyroscope.
 pub(crate) fn with_constant_rotation(extrapolator: &mut PoseExtrapolator, end: Time) -> TrajectorySegment {
     let last = extrapolator.last_pose();
     let turn_rate = extrapolator.angular_velocity_from_poses();
@@ -139,7 +140,7 @@ pub(crate) fn with_constant_rotation(extrapolator: &mut PoseExtrapolator, end: T
     })
 }
 
-/// Standing at `pose` since the last pose.
+/// Segment that stands still at `pose` since the last pose.
 pub(crate) fn standing(extrapolator: &PoseExtrapolator, end: Time, pose: &Rigid3) -> TrajectorySegment {
     TrajectorySegment::new(start_of(extrapolator, end), end, |_| *pose)
 }

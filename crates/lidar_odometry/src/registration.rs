@@ -1,5 +1,6 @@
-//! Registration of scans and sweeps to the planar voxel map: robust point-to-plane least squares (Chen and Medioni 1992)
-//! over the corrections of a trajectory segment, with a motion prior, and with degenerate directions found on the way.
+//! Registers scans and sweeps to the planar voxel map: robust point-to-plane least squares (Chen and
+//! Medioni 1992) over the corrections of a trajectory segment, with a motion prior, and with detection of
+//! degenerate directions.
 
 use std::ops::Range;
 
@@ -30,7 +31,7 @@ mod solve;
 #[cfg(test)]
 mod tests;
 
-/// A scan that took no time has no growing correction.
+/// A scan without duration has no growing correction.
 const RIGID: Sigmas = Sigmas { translation: 1e-6, rotation: 1e-6 };
 
 /// Standard deviations of a correction.
@@ -42,23 +43,23 @@ pub struct Sigmas {
     pub rotation: f64,
 }
 
-/// Where a scan is believed to be before registration.
+/// Prior of the pose of a scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PosePrior {
     /// Frame of the scan in that of the planes.
     pub pose: Rigid3,
-    /// How far it may be off.
+    /// Its standard deviations.
     pub sigmas: Sigmas,
 }
 
-/// How far a predicted trajectory segment may be off.
+/// Standard deviations of a predicted trajectory segment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionPrior {
     /// At its start.
     pub start: Sigmas,
-    /// What is added until its end.
+    /// Of the growth until its end.
     pub growth: Sigmas,
-    /// Whether it is known well enough to be weighed against attenuation by errors of normals.
+    /// Whether it is precise enough to be weighed against attenuation by errors of normals.
     pub compensates_attenuation: bool,
 }
 
@@ -67,27 +68,27 @@ pub struct MotionPrior {
 pub struct RegistrationResult {
     /// Frame of the scan in that of the planes; of a sweep, at its end.
     pub pose: Rigid3,
-    /// What the prediction was off by.
+    /// Estimated error of the prediction.
     pub correction: SegmentCorrection,
-    /// Fraction of the points that lie on a plane.
+    /// Fraction of the points that are on a plane.
     pub matched_fraction: f64,
-    /// Fraction of the points that lie on planes that are not [unreliable](crate::Unreliable): a plane made of single beams moves
-    /// with the scanner, and fits whatever its motion.
+    /// Fraction of the points that are on planes that are not [unreliable](crate::Unreliable): a plane
+    /// made of single beams moves with the scanner, and fits any motion.
     pub reliable_fraction: f64,
-    /// Root mean square distance of those on a plane from it, metres.
+    /// Root mean square distance of the points on planes from them, metres.
     pub rms: f64,
-    /// `JᵀWJ` of the points alone, by a translation and a rotation vector about the scanner, in the frame of the
-    /// planes: 1/m², 1/(m rad), 1/rad².
+    /// `JᵀWJ` of the points alone, by a translation and a rotation vector about the scanner, in the frame
+    /// of the planes: 1/m², 1/(m rad), 1/rad².
     pub information: na::Matrix6<f64>,
-    /// Where the prior decided instead of the points.
+    /// Degenerate directions, in which the prior decided instead of the points.
     pub degenerate: DegenerateDirections,
-    /// Covariance of what attenuation may keep the place off by, m², in the frame of the planes.
+    /// Covariance of the position error by attenuation, m², in the frame of the planes.
     pub attenuation: na::Matrix3<f64>,
 }
 
 impl RegistrationResult {
-    /// Covariance of the place as points alone tell it, with attenuation, whatever the rotation is: m² in the frame of the planes.
-    /// What they leave open is known to a metre.
+    /// Covariance of the position from the points alone, with attenuation, for any rotation: m² in the
+    /// frame of the planes. Degenerate directions are known to a metre.
     pub(crate) fn place_covariance(&self) -> Option<na::Matrix3<f64>> {
         let block = |row, column| self.information.fixed_view::<3, 3>(row, column).into_owned();
         let through_rotation = block(0, 3) * block(3, 3).try_inverse()? * block(3, 0);
@@ -96,13 +97,13 @@ impl RegistrationResult {
         Some(of_place.try_inverse()? + self.attenuation + open.sum::<na::Matrix3<f64>>())
     }
 
-    /// How well it fits: the fraction of points on planes, halved where their root mean square distance is the
-    /// final scale of the loss.
+    /// Fit of the result: the fraction of points on planes, halved where their root mean square distance
+    /// equals the final scale of the loss.
     pub(crate) fn fit(&self, final_scale: f64) -> f64 {
         self.matched_fraction / (1.0 + (self.rms / final_scale).powi(2))
     }
 
-    /// How well what tells of the motion fits: as [`Self::fit`], of points on reliable planes alone.
+    /// Fit of the points that constrain the motion: as [`Self::fit`], of points on reliable planes alone.
     pub(crate) fn evidence(&self, final_scale: f64) -> f64 {
         self.reliable_fraction / (1.0 + (self.rms / final_scale).powi(2))
     }
@@ -114,18 +115,18 @@ pub struct Registration {
     settings: RegistrationSettings,
 }
 
-/// What an iteration leaves behind.
+/// Result of an iteration.
 struct Iteration {
     equations: NormalEquations,
     degenerate: DegenerateDirections,
     attenuation: Attenuation,
-    /// What poles alone say of translation and rotation.
+    /// Information about translation and rotation by poles alone.
     by_poles: Option<[na::Matrix3<f64>; 2]>,
     /// The squared length of the step in standard deviations of the result.
     squared_decrement: f64,
 }
 
-/// What is registered, and to what.
+/// The points to register, and the map to register them to.
 struct Scene<'a> {
     planes: &'a PlaneMap,
     poles: Option<PoleResiduals<'a>>,
@@ -135,18 +136,18 @@ struct Scene<'a> {
 }
 
 impl Registration {
-    /// What it was made with.
+    /// Its settings.
     pub fn settings(&self) -> &RegistrationSettings {
         &self.settings
     }
 
-    /// With these settings.
+    /// Registration with these settings.
     pub fn new(settings: RegistrationSettings) -> Self {
         Self { settings }
     }
 
-    /// The pose near `initial` that puts the points (metres) on the planes. `scale` is how far off points may be at the
-    /// beginning, metres. None if hardly any point lies near a plane.
+    /// The pose near `initial` that puts the points (metres) on the planes. `scale` is the initial scale
+    /// of the loss, metres. None if hardly any point is near a plane.
     pub fn register_scan(
         &self,
         planes: &PlaneMap,
@@ -164,16 +165,17 @@ impl Registration {
         self.minimise(scene, &segment, first, &motion_prior, scale)
     }
 
-    /// The segment near a predicted one (in the frame of the planes) on which a sweep was measured, and its end: the
-    /// points, in order of time, lie on the planes then. `scale` is how far off points may be at the beginning, metres.
-    /// None if hardly any point lies near a plane.
+    /// The segment near a predicted one (in the frame of the planes) on which a sweep was measured, and
+    /// its end: its points, in order of time, are then on the planes. `scale` is the initial scale of the
+    /// loss, metres. None if hardly any point is near a plane.
     ///
-    /// The start of the segment is corrected together with its growth (as the elastic trajectories of Dellenbach et
-    /// al., "CT-ICP", 2022, but held by a prior instead of a penalty): with a fixed start, an error of the sweep before
-    /// would come back with the opposite sign. The corrected start serves this sweep alone.
+    /// The start of the segment is corrected together with its growth (as the elastic trajectories of
+    /// Dellenbach et al., "CT-ICP", 2022, but held by a prior instead of a penalty): with a fixed start,
+    /// an error of the previous sweep would come back with the opposite sign. The corrected start is used
+    /// for this sweep only.
     ///
-    /// Poles around (in the frame of the planes), and points of the sweep that show them, in order of time, help where
-    /// hardly anything is flat.
+    /// `poles`: nearby poles (in the frame of the planes), and points of the sweep on them, in order of
+    /// time. They help where there are hardly any planes.
     pub fn register_sweep(
         &self,
         planes: &PlaneMap,
@@ -190,7 +192,7 @@ impl Registration {
         self.minimise(scene, segment, SegmentCorrection::default(), prior, scale)
     }
 
-    /// Points farther off than about this, metres, count little in the end.
+    /// Distance from their plane, metres, beyond which points have little weight in the final iterations.
     fn final_scale(&self, planes: &PlaneMap) -> f64 {
         self.settings.final_scale_per_edge * f64::from(planes.edge())
     }
@@ -220,7 +222,8 @@ impl Registration {
         }
         let Iteration { mut equations, mut degenerate, attenuation, by_poles, .. } = last?;
         if let Some(by_poles) = by_poles {
-            // Some points of bare walls pass for poles: what is degenerate is judged by planes alone.
+            // Some points of bare walls pass for poles, so degenerate directions are determined from
+            // planes alone.
             equations
                 .unreliable
                 .iter_mut()
@@ -260,13 +263,13 @@ impl Registration {
         let matched = self.add_planes(&mut all, scene, &trajectory, scale);
         let by_poles = scene.poles.as_mut().map(|poles| poles.add_to(&mut all, &trajectory, scale));
         let equations = NormalEquations { matched, ..all.finish() };
-        // 2. Is it any use?
+        // 2. Give up a hopeless fit.
         let fraction = matched.points as f64 / scene.points.len() as f64;
         let is_hopeless = fraction < HOPELESS_FRACTION * settings.min_matched_fraction;
         if matched.points < MIN_PAIRS || scale <= self.final_scale(scene.planes) && is_hopeless {
             return None;
         }
-        // 3. What the points leave open, and what errors of normals hide.
+        // 3. Degenerate directions, and attenuation by errors of normals.
         let degenerate = degenerate_directions(&equations);
         let attenuation = Attenuation::of(&equations, scene.planes);
         // 4. The step of points and prior together.
@@ -277,7 +280,7 @@ impl Registration {
         Some(Iteration { equations, degenerate, attenuation, by_poles, squared_decrement })
     }
 
-    /// Pairs points with planes where they moved, and adds what all of them say on a trajectory.
+    /// Pairs the points with planes at their current positions, and adds their residuals on a trajectory.
     fn add_planes(
         &self,
         all: &mut Accumulator,
@@ -307,12 +310,13 @@ impl Registration {
                 if squared > squared_cutoff {
                     continue;
                 }
-                // Geman and McClure's weight. Away from its middle a plane is known as well as its normal.
+                // Geman and McClure's weight. Away from its middle a plane is only as certain as its
+                // normal.
                 let robust = squared_scale / (squared_scale + squared);
                 let tilt = plane.normal_variance * (place - plane.point).norm_squared();
                 let weight = robust * robust / (range_variance + plane.variance + tilt);
                 let normal_variance = least_variance + plane.normal_variance;
-                // A sample tells where points are.
+                // A sample of the points gives their positions.
                 if i.is_multiple_of(ARM_SAMPLE_POINTS) {
                     all.add_arm(&turned, weight * normal_variance * ARM_SAMPLE_POINTS as f32);
                 }
@@ -325,7 +329,8 @@ impl Registration {
                 };
                 let counted = fraction * weight;
                 if let Some(reason) = plane.unreliable {
-                    // Ground that looks down feigns no tilt: all of its weight is reliable there.
+                    // Ground with a downward normal does not feign a tilt: all of its weight is reliable
+                    // there.
                     let is_downward = reason == Unreliable::DownwardNormal;
                     let of_rotation = if is_downward { counted - weight } else { counted };
                     all.add_unreliable(n, &lever, [counted, of_rotation]);
@@ -352,7 +357,8 @@ impl<'a> Scene<'a> {
     }
 }
 
-/// Points of a sweep that were measured at about the same time, and the fractions of the growth that apply to them.
+/// Points of a sweep that were measured at about the same time, and the fractions of the growth that apply
+/// to them.
 pub(crate) struct Part {
     pub points: Range<usize>,
     pub growth_fractions: [f64; 2],

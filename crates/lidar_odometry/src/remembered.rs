@@ -1,4 +1,5 @@
-//! What registration of a sweep found, as it is remembered: a job that was cut off takes it from there.
+//! Registration results of sweeps as they are remembered, so that an interrupted job can continue from
+//! them.
 
 use portolan_motion::DegenerateDirections;
 use portolan_recall::{Answer, Fingerprint, Sink, Words};
@@ -8,20 +9,21 @@ use crate::registration::RegistrationResult;
 use crate::segment::{SegmentCorrection, TrajectorySegment};
 use crate::sweep::Sweep;
 
-/// Points of a sweep that tell it from others; all of them would take as long as parts of the work.
+/// Number of points of a sweep that identify it; using all of them would take as long as parts of the
+/// registration.
 const TELLING_POINTS: usize = 256;
 
-/// What was found of a sweep.
+/// Result of a sweep.
 pub(crate) struct Finding {
-    /// Points that were sampled.
+    /// Number of sampled points.
     pub sampled: u64,
-    /// Which hypothesis fits best; none for the first.
+    /// The hypothesis that fits best; none for the first.
     pub reason: Option<Reason>,
-    /// Where it fits; none if nowhere.
+    /// Its registration; none if it does not fit.
     pub found: Option<RegistrationResult>,
 }
 
-/// Adds what a registration depends on beside what came before.
+/// Adds the inputs of a registration, besides earlier sweeps, to the fingerprint.
 pub(crate) fn ask(question: &mut Fingerprint, sweep: &Sweep, segment: &TrajectorySegment) {
     question.add((sweep.end, sweep.points.len() as u64));
     question.add([segment.start(), segment.end()]);

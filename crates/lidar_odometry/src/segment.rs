@@ -1,4 +1,4 @@
-//! The trajectory segment of a sweep: poses as they are predicted, and the correction that registration estimates.
+//! The trajectory segment of a sweep: its predicted poses, and the correction that registration estimates.
 
 use nalgebra as na;
 use portolan_geometry::{
@@ -8,28 +8,28 @@ use portolan_geometry::{
 use crate::deskew::PiecewiseLinearTrajectory;
 use crate::settings::constants::segment::{MAX_POSES, POSE_SPACING};
 
-/// Predicted poses of the tracking frame in that of a map, evenly spaced in time from the end of the sweep before to the
-/// end of a sweep.
+/// Predicted poses of the tracking frame in that of a map, evenly spaced in time from the end of the
+/// previous sweep to the end of a sweep.
 #[derive(Clone, Debug)]
 pub struct TrajectorySegment {
     /// Seconds between the poses.
     spacing: f64,
     poses: Vec<Rigid3>,
-    /// How far off the rotation at the end is about each axis that a gyroscope measured, radians (standard deviation). None where
-    /// nothing measured it: it continues that of the sweep before.
+    /// Standard deviation of the rotation at the end about each axis, radians, if a gyroscope measured it.
+    /// None where it was unmeasured: it then continues that of the previous sweep.
     pub gyroscope_sigma: Option<f64>,
-    /// What the translation comes from.
+    /// Source of the translation.
     pub source: MotionSource,
 }
 
-/// What the translation of a trajectory segment comes from.
+/// Source of the translation of a trajectory segment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum MotionSource {
     /// A zero-velocity update.
     Standing,
     /// Odometry.
     Odometry {
-        /// How far off it is at the end along each axis, metres (standard deviation).
+        /// Standard deviation at the end along each axis, metres.
         translation_sigma: f64,
     },
     /// The accelerometer, integrated from a velocity of the inertial filter.
@@ -37,24 +37,25 @@ pub enum MotionSource {
         /// Standard deviation of that velocity, m/s.
         velocity_sigma: f64,
     },
-    /// Constant velocity: nothing measured it.
+    /// Constant velocity: the translation was unmeasured.
     ConstantVelocity,
 }
 
 impl MotionSource {
-    /// Whether odometry or rest tells it, and no inference from velocities.
+    /// Whether odometry or a zero-velocity update measured the translation, rather than inference from
+    /// velocities.
     pub fn is_measured(self) -> bool {
         matches!(self, Self::Standing | Self::Odometry { .. })
     }
 }
 
-/// What a predicted segment is off by. First three entries a translation in metres, last three a rotation vector about
-/// the scanner in radians, both in the frame of the map.
+/// Error of a predicted segment. The first three entries are a translation in metres, the last three a
+/// rotation vector about the scanner in radians, both in the frame of the map.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SegmentCorrection {
-    /// At the start, and so everywhere.
+    /// At the start, and so everywhere on the segment.
     pub start: na::Vector6<f64>,
-    /// What has been added at the end.
+    /// Growth from the start to the end.
     pub growth: na::Vector6<f64>,
 }
 
@@ -66,7 +67,8 @@ impl SegmentCorrection {
 }
 
 impl TrajectorySegment {
-    /// As `pose_at` predicts it from `start` to `end`; constant velocity unless the fields are set.
+    /// The segment that `pose_at` predicts from `start` to `end`, with constant velocity as its source
+    /// unless the fields are set.
     pub fn new(start: Time, end: Time, mut pose_at: impl FnMut(Time) -> Rigid3) -> Self {
         let seconds = end.seconds_since(start).max(0.0);
         let pieces = ((seconds / POSE_SPACING).ceil() as usize).clamp(1, MAX_POSES);
@@ -79,7 +81,7 @@ impl TrajectorySegment {
         Self { spacing, poses, gyroscope_sigma: None, source: MotionSource::ConstantVelocity }
     }
 
-    /// A pose for a scan that took no time.
+    /// A segment of one pose, for a scan without duration.
     pub fn instantaneous(pose: Rigid3) -> Self {
         Self {
             spacing: 0.0,
@@ -94,7 +96,8 @@ impl TrajectorySegment {
         self.gyroscope_sigma.is_some()
     }
 
-    /// The segment with its poses changed, each by its seconds from the start.
+    /// The segment with its poses changed by `change`, which receives the time of each from the start,
+    /// seconds.
     #[must_use]
     pub fn changed(mut self, mut change: impl FnMut(f64, &mut Rigid3)) -> Self {
         let spacing = self.spacing;
@@ -118,7 +121,7 @@ impl TrajectorySegment {
         self.poses.last().copied().unwrap_or_else(Rigid3::identity)
     }
 
-    /// From the first pose to the next, in the tracking frame, and the seconds that it takes.
+    /// The motion from the first pose to the next, in the tracking frame, and its duration, seconds.
     pub fn first_motion(&self) -> (Rigid3, f64) {
         let next = self.poses.get(1).copied().unwrap_or_else(|| self.start());
         (self.start().inverse() * next, self.spacing)
@@ -134,7 +137,7 @@ impl TrajectorySegment {
         self.end().translation.vector - self.start().translation.vector
     }
 
-    /// Seconds from the first pose to the last.
+    /// Time from the first pose to the last, seconds.
     pub fn seconds(&self) -> f64 {
         self.spacing * (self.poses.len() - 1) as f64
     }
@@ -160,16 +163,18 @@ impl TrajectorySegment {
         Self { poses, ..self.clone() }
     }
 
-    /// The fractions of the growth that apply after a fraction s of the time, to translation and to rotation.
+    /// The fractions of the growth that apply after a fraction s of the time, to translation and to
+    /// rotation.
     ///
-    /// What was measured drifts with time: s. Where velocity was assumed constant, that of the sweep before belongs to the
-    /// middle of that sweep, and a constant acceleration adds (s + s²)/2 of what it adds until the end.
+    /// Measured motion drifts with time: s. Where constant velocity was assumed, the velocity of the
+    /// previous sweep belongs to the middle of that sweep, and a constant acceleration adds (s + s²)/2 of
+    /// its final effect.
     pub(crate) fn growth_fractions(&self, s: f64) -> [f64; 2] {
         let fraction = |is_measured: bool| if is_measured { s } else { 0.5 * (s + s * s) };
         [fraction(self.source != MotionSource::ConstantVelocity), fraction(self.rotation_is_measured())]
     }
 
-    /// The fraction of the time that has passed at `time` seconds from the end (not positive).
+    /// The fraction of the duration that has passed at `time`, seconds from the end (not positive).
     pub(crate) fn fraction_at(&self, time: f32) -> f64 {
         (1.0 + f64::from(time) / self.seconds().max(1e-9)).clamp(0.0, 1.0)
     }

@@ -1,17 +1,17 @@
-//! Every number of the front end that could be another: its unit, range, origin and effect.
+//! Settings of the front end: each with its unit, range, origin and effect.
 //!
 //! Each entry of the tables in this folder becomes a field with documentation and a default, and a row of
-//! [`OdometrySettings::entries`], by which ranges are checked and tables of sensitivity can be made. Constants of
-//! single models (of likelihoods, filters and iterations) are in `constants.rs`. Sizes of blocks, layouts of keys and bounds of
-//! memory stand where they are used.
+//! [`OdometrySettings::entries`], by which ranges are checked and tables of sensitivity can be made.
+//! Constants of single models (of likelihoods, filters and iterations) are in `constants.rs`. Sizes of
+//! blocks, layouts of keys and bounds of memory are in the files that use them.
 //!
-//! The origins are honest: *derived* follows from a sensor or from geometry, a name is a source, *tuned* was found on
-//! simulated walks and has no better reason yet.
+//! The origins are honest: *derived* follows from a sensor or from geometry, a name is a source, *tuned*
+//! was found on simulated walks and has no better reason yet.
 
 use portolan_motion::{ImuBasedSettings, PoseExtrapolator};
 use thiserror::Error;
 
-/// Makes a table of settings: a struct whose fields know their unit, range, origin and effect.
+/// Makes a table of settings: a struct whose fields have a unit, a range, an origin and an effect.
 macro_rules! settings {
     (
         $(#[$meta:meta])*
@@ -84,12 +84,12 @@ pub use motion::{
 pub use registration::{LossSettings, RegistrationSettings, SweepSettings};
 pub use start::{CorrelationSettings, InitialisationSettings, VerticalSettings, WitnessSettings};
 
-/// One setting: what it is called, what it is, and what it does.
+/// One setting: its name, value, range and documentation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Entry {
-    /// The struct that has it.
+    /// Name of its struct.
     pub group: &'static str,
-    /// The field.
+    /// Name of the field.
     pub name: &'static str,
     /// Unit, or `1`.
     pub unit: &'static str,
@@ -97,13 +97,13 @@ pub struct Entry {
     pub values: Vec<f64>,
     /// The default as it is written in the source.
     pub default: &'static str,
-    /// Least and greatest value that make sense.
+    /// Minimum and maximum of meaningful values.
     pub range: (f64, f64),
-    /// What it is.
+    /// Its meaning.
     pub what: &'static str,
-    /// Where the default comes from.
+    /// Origin of the default.
     pub origin: &'static str,
-    /// What changes with a larger value.
+    /// Effect of a larger value.
     pub larger: &'static str,
 }
 
@@ -111,15 +111,15 @@ pub struct Entry {
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{group}.{name} = {value} is outside {low} to {high}")]
 pub struct SettingError {
-    /// The struct that has it.
+    /// Name of its struct.
     pub group: &'static str,
-    /// The field.
+    /// Name of the field.
     pub name: &'static str,
-    /// What it is.
+    /// Its value.
     pub value: f64,
-    /// The least value that makes sense.
+    /// The minimum meaningful value.
     pub low: f64,
-    /// The greatest value that makes sense.
+    /// The maximum meaningful value.
     pub high: f64,
 }
 
@@ -127,18 +127,18 @@ pub struct SettingError {
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("there is no setting {group}.{field} with so many values")]
 pub struct UnknownSetting {
-    /// The struct that was to have it.
+    /// Name of the struct that was given.
     pub group: String,
-    /// The field.
+    /// Name of the field that was given.
     pub field: String,
 }
 
 /// How the extrapolator predicts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ExtrapolatorSettings {
-    /// Velocities are taken from poses over this time, seconds.
+    /// Time over which velocities are computed from poses, seconds.
     pub pose_queue_duration: f64,
-    /// Accelerations are averaged over this time to find gravity, seconds.
+    /// Time constant of the average of accelerations that gives gravity, seconds.
     pub gravity_time_constant: f64,
     /// Whether to predict from all odometry and gyroscope data since the last sweep.
     pub use_all_odometry: bool,
@@ -158,7 +158,7 @@ impl Default for ExtrapolatorSettings {
 }
 
 impl ExtrapolatorSettings {
-    /// An extrapolator that knows nothing yet.
+    /// An extrapolator without data.
     pub fn extrapolator(&self) -> PoseExtrapolator {
         let extrapolator = PoseExtrapolator::new(
             self.pose_queue_duration,
@@ -187,11 +187,11 @@ pub struct OdometrySettings {
     pub standstill: StandstillSettings,
     /// The inertial filter.
     pub inertial: InertialSettings,
-    /// How far predictions may be off.
+    /// Standard deviations of predictions.
     pub motion_prior: MotionPriorSettings,
-    /// When other predictions are tried.
+    /// When alternative predictions are tried.
     pub hypotheses: HypothesisSettings,
-    /// Which points of a sweep are registered, and when that counts.
+    /// Which points of a sweep are registered, and when the result is accepted.
     pub sweep: SweepSettings,
     /// When the pose is lost.
     pub loss: LossSettings,
@@ -201,7 +201,7 @@ pub struct OdometrySettings {
     pub poles: PoleSettings,
     /// Planes of voxels.
     pub plane_fit: PlaneFitSettings,
-    /// The planar voxel maps around.
+    /// The planar voxel maps around the scanner.
     pub local_map: LocalMapSettings,
     /// Key frames.
     pub keyframes: KeyframeSettings,
@@ -209,19 +209,20 @@ pub struct OdometrySettings {
     pub initialisation: InitialisationSettings,
     /// Correlation of two sweeps.
     pub correlation: CorrelationSettings,
-    /// The second witness of the way travelled.
+    /// The second, independent measurement of the distance travelled.
     pub witness: WitnessSettings,
-    /// The vertical from planes.
+    /// Estimation of the vertical from planes.
     pub vertical: VerticalSettings,
 }
 
 impl OdometrySettings {
-    /// Points of sweeps that lie farther than about this from their plane, metres, count little in the end.
+    /// Distance from their plane, metres, beyond which points of sweeps have little weight in the final
+    /// iterations.
     pub(crate) fn final_scale(&self) -> f64 {
         self.registration.final_scale_per_edge * self.local_map.voxel_size
     }
 
-    /// Spacing of the points of first sweeps, metres.
+    /// Spacing of the points of the first sweeps, metres.
     pub(crate) fn first_spacing(&self) -> f32 {
         self.sweep.first_spacing_per_edge * self.local_map.voxel_size as f32
     }
@@ -249,7 +250,8 @@ impl OdometrySettings {
         all
     }
 
-    /// Changes one setting: its group and field as [`Self::entries`] names them, and as many values as it has.
+    /// Changes one setting, given by its group and field as [`Self::entries`] names them, to as many
+    /// values as it has.
     ///
     /// # Errors
     ///
@@ -278,11 +280,11 @@ impl OdometrySettings {
         is_set.then_some(()).ok_or_else(|| UnknownSetting { group: group.into(), field: field.into() })
     }
 
-    /// Whether every setting lies within its range.
+    /// Checks that every setting is within its range.
     ///
     /// # Errors
     ///
-    /// The first one that does not.
+    /// The first setting that is outside its range.
     pub fn check(&self) -> Result<(), SettingError> {
         for Entry { group, name, values, range: (low, high), .. } in self.entries() {
             if let Some(value) = values.into_iter().find(|v| !(low..=high).contains(v)) {
@@ -293,11 +295,11 @@ impl OdometrySettings {
     }
 }
 
-/// What a setting can be: a number, or a list of numbers.
+/// Value of a setting: a number, or a list of numbers.
 trait Values {
     fn values(&self) -> Vec<f64>;
 
-    /// Takes these; as many as there are. Whether they are so many.
+    /// Sets the values. False if their number is wrong.
     fn set(&mut self, values: &[f64]) -> bool;
 }
 

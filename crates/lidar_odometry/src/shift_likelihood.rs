@@ -1,16 +1,19 @@
-//! How likely it is that what stands upright was seen from so far off: the likelihood of shifts as a whole, with a prior (a
-//! histogram filter: Thrun, Burgard and Fox, "Probabilistic Robotics", section 4.1).
+//! Likelihood of horizontal shifts between two sets of upright structures, over all shifts at once, with a
+//! prior (a histogram filter: Thrun, Burgard and Fox, "Probabilistic Robotics", section 4.1).
 //!
-//! Meeting something again says as much as it is unlikely to be met there by chance. Along a wall, a guard rail or in a hedge
-//! something is met wherever it is looked for, a post is not. And as beams spread, what stands near a scanner is seen more
-//! completely than the same things farther off: the share that is met again is largest where both sweeps would have been taken
-//! from the same place, though a scanner moved. So each column is compared with its own neighbourhood, not with the others.
+//! A structure that is met again is evidence to the degree that meeting one there by chance is unlikely.
+//! Along a wall, along a guard rail or in a hedge something is met at every shift; with a post it is not.
+//! And since beams diverge, structures near a scanner are sampled more densely than the same structures
+//! farther away: the fraction that is met again is largest where both sweeps would have been taken from
+//! the same position, although the scanner moved. So each column is compared with its own neighbourhood,
+//! not with the others.
 //!
-//! Points of one object are not independent, and objects may move: the likelihood of each object is a mixture with one that says
-//! nothing, so that a car, seen with a hundred points, counts no more than a post.
+//! Points of one object are not independent, and objects may move: the likelihood of each object is mixed
+//! with a uniform one, so that a car with a hundred points counts no more than a post.
 //!
-//! What cannot have been seen says nothing: what lies farther off than anything that was seen in that direction, above or below
-//! all beams, or between two of them. Along a bare tunnel that moves with the scanner, and would hold it where it was.
+//! Voxels that cannot have been seen do not count: those farther away than any return in that direction,
+//! above or below all beams, or between two of them. In a bare tunnel the limits of sight move with the
+//! scanner, and would hold it at its old position.
 
 use std::collections::BTreeMap;
 
@@ -26,45 +29,45 @@ use crate::settings::constants::shift_likelihood::{
 };
 use crate::sight::Sight;
 
-/// Where upright points may lie, by what is met again and by what was known before.
+/// Posterior of the shift of upright points, from the structures that are met again and the prior.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Posterior {
     /// Mean, metres.
     pub shift: Vector3,
-    /// The largest variance along any of the directions, as a fraction of that before.
+    /// The largest variance along any of the directions, as a fraction of the prior variance.
     pub remaining_variance: f64,
 }
 
-/// Shifts that are tried, evenly along each direction.
+/// Grid of tested shifts, evenly spaced along each direction.
 pub(crate) struct Shifts<'a> {
     directions: &'a [na::Vector2<f64>],
-    /// Metres.
+    /// Distance between shifts, metres.
     pub step: f64,
-    /// So many steps to each side.
+    /// Number of steps to each side.
     pub reach: i32,
-    /// And farther out, for chance alone.
+    /// Number of steps beyond these, used only for the probability by chance.
     around: i32,
 }
 
-/// A column of what stands upright.
+/// A column of voxels of an upright structure.
 struct Upright {
     place: na::Vector2<f64>,
     mask: u64,
 }
 
 impl CorrelationSettings {
-    /// Standard deviation of a shift of which nothing is known, metres.
+    /// Standard deviation of an unknown shift, metres.
     pub fn unknown(&self) -> f64 {
         self.farthest / REACH_SIGMAS
     }
 
-    /// Systematic error of shifts, metres: things are seen from another side, for many sweeps.
+    /// Systematic error of shifts, metres: structures are seen from another side, over many sweeps.
     pub fn resolution(&self) -> f64 {
         0.5 * f64::from(self.cell)
     }
 
-    /// Whether likelihoods tell a shift whose standard deviation was `before` and is `now`, metres: clearly better than before, and to
-    /// within a cell.
+    /// Whether a shift counts as measured, whose standard deviation was `before` and is `now`, metres:
+    /// clearly smaller than before, and less than a cell.
     pub fn is_told(&self, before: f64, now: f64) -> bool {
         now * now <= TOLD_VARIANCE_FRACTION * before * before && now <= f64::from(self.cell)
     }
@@ -77,9 +80,9 @@ impl CorrelationSettings {
 }
 
 impl CorrelationReference<'_> {
-    /// Where upright points lie along horizontal directions (orthonormal, one or two) if nothing is known but how far off they
-    /// are about each, metres (standard deviation). `seen_from`: where the reference was taken. None where nothing stands
-    /// upright.
+    /// Posterior of the shift of upright points along horizontal directions (orthonormal, one or two), if
+    /// only its standard deviation `sigma`, metres, is known before. `seen_from`: the position from which
+    /// the reference was taken. None where there are no upright structures.
     pub fn posterior(
         &self,
         seen_from: &Vector3,
@@ -105,7 +108,8 @@ impl CorrelationReference<'_> {
         Some(Posterior { shift: Vector3::new(mean.x, mean.y, 0.0), remaining_variance: remaining })
     }
 
-    /// How likely what stands upright is met again as it is at each of the shifts, as logarithms. None where nothing stands upright.
+    /// Log-likelihood of each of the shifts, from the upright structures that are met again. None where
+    /// there are no upright structures.
     pub fn log_likelihoods(
         &self,
         seen_from: &Vector3,
@@ -132,7 +136,7 @@ impl CorrelationReference<'_> {
         (!objects.is_empty()).then_some(all)
     }
 
-    /// The columns of upright points, evenly if there are many.
+    /// The columns of upright points, evenly sampled if there are many.
     fn upright_columns(&self, upright: &[Point3f]) -> Vec<Upright> {
         let settings = self.settings();
         let columns = Columns::of(upright, settings.cell, settings.range, [0.0; 2], settings);
@@ -153,7 +157,7 @@ impl CorrelationReference<'_> {
 }
 
 impl<'a> Shifts<'a> {
-    /// Shifts along one or two directions (orthonormal), of which that much is known before (standard deviation, metres).
+    /// Shifts along one or two directions (orthonormal), with this prior standard deviation, metres.
     pub fn new(
         directions: &'a [na::Vector2<f64>],
         sigma: f64,
@@ -166,7 +170,7 @@ impl<'a> Shifts<'a> {
         Some(Self { directions, step, reach, around: (CHANCE_REACH / step).ceil() as i32 })
     }
 
-    /// All that are tried, to so many steps on each side: row by row if there are two directions.
+    /// All shifts up to this number of steps to each side: row by row if there are two directions.
     fn within(&self, reach: i32) -> impl Iterator<Item = na::Vector2<f64>> {
         let second = if self.directions.len() == 2 { reach } else { 0 };
         let at = move |direction: usize, i: i32| {
@@ -179,7 +183,8 @@ impl<'a> Shifts<'a> {
         self.within(self.reach)
     }
 
-    /// Adds how much likelier than by chance a column is met at each shift.
+    /// Adds the log-likelihood ratio, at each shift, of meeting a column again and of meeting it by
+    /// chance.
     fn add_to(
         &self,
         logs: &mut [f64],
@@ -191,7 +196,7 @@ impl<'a> Shifts<'a> {
         let all = self.reach + self.around;
         let side = (2 * all + 1) as usize;
         let bits = f64::from(column.mask.count_ones());
-        // What fraction of it is met there, as far as that is known.
+        // The fraction of its visible layers that is met at each shift.
         let met: Vec<Option<f64>> = self
             .within(all)
             .map(|shift| {
@@ -226,7 +231,7 @@ impl<'a> Shifts<'a> {
     }
 }
 
-/// Sums of so many neighbours to both sides, of values that lie `stride` apart in lines of `side`.
+/// Sums over `half` neighbours to both sides, of values that are `stride` apart in lines of `side`.
 fn moving_sum(values: &[f64], side: usize, stride: usize, half: usize) -> Vec<f64> {
     let mut sums = vec![0.0; values.len()];
     let lines = values.len() / side;
@@ -261,7 +266,8 @@ mod tests {
         (0..8).map(move |k| Point3f::new(x, y, 0.25 * k as f32 - 1.0))
     }
 
-    /// Guard rails along x, the sparser the farther off, as a scanner at a place meets them, and posts beside them.
+    /// Guard rails along x as a scanner at a position sees them, sparser with distance, and posts beside
+    /// them.
     fn road(scanner: f32, posts: &[f32]) -> Vec<Point3f> {
         let rails = (-200..=200).filter_map(|i| {
             let tangent = 0.05 * i as f32;
@@ -272,7 +278,8 @@ mod tests {
         rails.chain(posts).flatten().collect()
     }
 
-    /// What is told if everything is believed to have been seen from x = 0, and was, after the first time, from elsewhere.
+    /// Posterior of the shift if both sets are assumed to be seen from x = 0, but the second one was seen
+    /// from x = `way`.
     fn told(way: f32, posts: &[f32]) -> Posterior {
         let settings = CorrelationSettings::default();
         let reference = CorrelationReference::new(&road(0.0, posts), &settings);

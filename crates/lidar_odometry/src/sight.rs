@@ -1,4 +1,4 @@
-//! What sweeps can have seen from where they were taken.
+//! Determines which parts of columns sweeps can have seen from their position.
 
 use portolan_geometry::Vector3;
 use portolan_geometry::nalgebra as na;
@@ -7,10 +7,11 @@ use crate::correlation::Columns;
 use crate::settings::CorrelationSettings;
 use crate::settings::constants::sight::{NEAREST_FOR_ELEVATIONS, SECTORS};
 
-/// What sweeps can have seen from where they were taken: how far in each direction, and how high and low. The rest is not known.
+/// Limits of sight of sweeps from their position: range in each direction, and elevations. Beyond them the
+/// space is unknown.
 pub(crate) struct Sight {
     from: Vector3,
-    /// Metres.
+    /// Maximum range in each sector, metres.
     farthest: [f64; SECTORS],
     /// Tangents of the elevations of beams.
     lowest: f64,
@@ -57,7 +58,7 @@ impl Sight {
     }
 }
 
-/// The angle of a vector to 0.005 rad: a polynomial, much faster than the arctangent.
+/// The angle of a vector to 0.005 rad, by a polynomial: much faster than the arctangent.
 fn about_angle(ray: &na::Vector2<f64>) -> f64 {
     let [x, y] = [ray.x.abs(), ray.y.abs()];
     let ratio = x.min(y) / x.max(y).max(f64::MIN_POSITIVE);

@@ -16,30 +16,30 @@ use crate::start_velocity::FirstSweepsPlaced;
 use crate::sweep::Sweep;
 use crate::tracker::{RegisteredSweep, Tracker};
 
-/// Waiting for the first sweeps.
+/// State while it waits for the first sweeps.
 #[derive(Clone, Debug)]
 pub(crate) struct FirstMotion {
     pub motion: MotionState,
-    /// The most likely first; empty before the second sweep.
+    /// Hypotheses, the most likely first; empty before the second sweep.
     hypotheses: Vec<Start>,
 }
 
 /// A trajectory that has begun.
 pub(crate) struct Begun {
     pub tracker: Tracker,
-    /// The first sweep, and those after it that are registered already.
+    /// The first sweep, and those after it that are already registered.
     pub registered: Vec<RegisteredSweep>,
-    /// What was wrong with these.
+    /// Issues of these sweeps.
     pub issues: Issues,
 }
 
-/// What hypotheses of the first motion are tried with.
+/// Inputs of a trial of hypotheses of the first motion.
 struct Trial<'a> {
     settings: &'a OdometrySettings,
     motion: &'a MotionState,
     memory: &'a Memory,
     first: &'a Sweep,
-    /// The sweeps that judge.
+    /// The sweeps after the first one, by whose fit hypotheses are judged.
     judges: &'a [Sweep],
 }
 
@@ -47,7 +47,7 @@ struct Trial<'a> {
 struct Judged {
     start: Start,
     begun: Begun,
-    /// How well they fit in all.
+    /// Total fit of the sweeps.
     fit: f64,
 }
 
@@ -56,8 +56,8 @@ impl FirstMotion {
         Self { motion, hypotheses: Vec::new() }
     }
 
-    /// Begins as everything was moving at the first of these sweeps; none if more sweeps have to come before that is clear.
-    /// `is_ended`: no more will.
+    /// Begins with the motion at the first of these sweeps; none if more sweeps are needed to decide it.
+    /// `is_ended`: no more will come.
     pub fn decide(
         &mut self,
         settings: &OdometrySettings,
@@ -86,7 +86,7 @@ impl FirstMotion {
     }
 }
 
-/// Directions that planes leave open: how everything moves, and across that.
+/// Degenerate directions of planes: the direction of motion, and the one perpendicular to it.
 fn directions(tracker: &Tracker, velocity: na::Vector2<f64>) -> Vec<na::Vector2<f64>> {
     let open = tracker.open_horizontally();
     match velocity.try_normalize(1.0) {
@@ -103,7 +103,8 @@ impl Trial<'_> {
         Begun { tracker, registered: vec![registered], issues: Issues::default() }
     }
 
-    /// Begins with the hypothesis that the sweeps fit best; the likeliest fits the first two best.
+    /// Begins with the hypothesis under which the sweeps fit best; the likeliest one is that under which
+    /// the first two fit best.
     fn best(&self, likeliest: Start, others: &[Start]) -> Begun {
         let Some(first) = self.judged(likeliest, f64::NEG_INFINITY) else { return self.begin(likeliest) };
         let clearly_better = self.settings.hypotheses.better_over_sweeps;
@@ -117,7 +118,8 @@ impl Trial<'_> {
         if self.is_final(&best.begun) { self.with_clouds(best.begun) } else { self.begin(best.start) }
     }
 
-    /// Begins with another velocity along what planes leave open, if all sweeps together tell that, and fit about as well then.
+    /// Begins with another velocity along a degenerate direction, if all sweeps together determine it, and
+    /// fit about as well then.
     fn corrected(&self, judged: &Judged) -> Option<Judged> {
         let Begun { tracker, registered, .. } = &judged.begun;
         if registered.iter().any(|sweep| sweep.observability.translation_is_measured) {
@@ -131,8 +133,8 @@ impl Trial<'_> {
         self.judged(judged.start.faster_by(&change), least)
     }
 
-    /// Tracks the sweeps from a start; none if they do not fit better than `least`. Of their clouds only those are kept that
-    /// cannot be made again.
+    /// Tracks the sweeps from a start; none if they do not fit better than `least`. Of their clouds only
+    /// those are kept that cannot be recomputed.
     fn judged(&self, start: Start, least: f64) -> Option<Judged> {
         let Begun { mut tracker, mut registered, mut issues } = self.begin(start);
         let fit = tracker.fit_better(least, None, self.judges, &mut issues, |mut judge| {
@@ -150,8 +152,8 @@ impl Trial<'_> {
         begun
     }
 
-    /// Whether the sweeps would be found in the same places if they were registered one by one, with another map to ask: they
-    /// would where each of them fits, and none comes after a gap.
+    /// Whether the poses of the sweeps would be the same if they were registered one by one, with a
+    /// fallback map: they would if each of them fits, and none comes after a gap.
     fn is_final(&self, begun: &Begun) -> bool {
         let fits = |sweep: &RegisteredSweep| sweep.belief == PoseBelief::Sure && sweep.fit > 0.0;
         let gap = Duration::from_seconds(self.settings.hypotheses.long_gap);

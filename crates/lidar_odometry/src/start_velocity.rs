@@ -1,9 +1,11 @@
-//! How fast everything was moving when the first sweeps came, along a direction that planes leave open.
+//! Estimates the initial velocity during the first sweeps, along a direction that planes do not constrain.
 //!
-//! Two sweeps a tenth of a second apart tell a velocity to several metres a second: they are compared in cells of half a metre.
-//! Sweeps a second apart tell it to a twentieth of that, but at the distance from post to post others fit as well. So all pairs are
-//! compared: the late ones tell precisely what the close ones tell roughly. The likelihoods of all pairs are those of a velocity that
-//! was wrong and of an acceleration that was not known (a histogram filter, as in [`crate::shift_likelihood`]).
+//! Two sweeps a tenth of a second apart determine a velocity only to several metres a second, since they
+//! are compared in cells of half a metre. Sweeps a second apart determine it to a twentieth of that,
+//! but at the distance between posts other velocities fit as well. So all pairs are compared: the late
+//! ones refine the rough estimate of the close ones. The likelihoods of all pairs are functions of the
+//! error of the velocity and of an unknown acceleration (a histogram filter, as in
+//! [`crate::shift_likelihood`]).
 
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Point3f, Vector3, to_f32};
@@ -16,47 +18,47 @@ use crate::settings::constants::shift_likelihood::REACH_SIGMAS;
 use crate::shift_likelihood::Shifts;
 use crate::tracker::RegisteredSweep;
 
-/// The first sweeps where they are believed to have been taken.
+/// The first sweeps at their assumed poses.
 pub(crate) struct FirstSweepsPlaced<'a> {
     settings: &'a OdometrySettings,
     /// Oldest first.
     sweeps: Vec<PlacedSweep>,
 }
 
-/// A sweep in the local map, as seen from where the last one was taken.
+/// A sweep in the local map, relative to the position of the last one.
 struct PlacedSweep {
-    /// Since the first one ended.
+    /// Since the end of the first one.
     seconds: f64,
-    /// Where it was taken.
+    /// Position of the scanner.
     place: Vector3,
     points: Vec<Point3f>,
     upright: Vec<Point3f>,
 }
 
-/// How much farther, or less far, everything came than is believed.
+/// Error of the assumed motion.
 #[derive(Clone, Copy)]
 struct Motion {
-    /// Of the first sweep, m/s.
+    /// At the first sweep, m/s.
     velocity: f64,
     /// m/s².
     acceleration: f64,
 }
 
-/// How likely shifts from one sweep to another are.
+/// Likelihood of shifts from one sweep to another.
 struct Pair {
-    /// Seconds.
+    /// Times of both sweeps, seconds.
     from: f64,
     to: f64,
-    /// Log-likelihoods of shifts in even steps, relative to their median.
+    /// Log-likelihoods of evenly spaced shifts, relative to their median.
     logs: Vec<f64>,
-    /// Metres.
+    /// Distance between shifts, metres.
     step: f64,
-    /// The middle of the shifts: none.
+    /// Index of the zero shift.
     middle: f64,
 }
 
 impl<'a> FirstSweepsPlaced<'a> {
-    /// Of those within as long as the witness of the way travelled looks back: velocities change.
+    /// Uses the sweeps within the span of the travel witness only, since velocities change.
     pub fn new(registered: &[RegisteredSweep], settings: &'a OdometrySettings) -> Self {
         let first_end = registered.first().map(|first| first.sweep.end);
         let seconds =
@@ -72,8 +74,8 @@ impl<'a> FirstSweepsPlaced<'a> {
         Self { settings, sweeps: registered.iter().map(placed).collect() }
     }
 
-    /// How much faster everything was moving along a horizontal direction at the end of the first sweep than is believed, m/s. None
-    /// where that is not told, or less than a correlation resolves.
+    /// Error of the assumed velocity along a horizontal direction at the end of the first sweep, m/s. None
+    /// where it is not measured, or is below the resolution of a correlation.
     pub fn velocity_error(&self, direction: &na::Vector2<f64>) -> Option<f64> {
         let correlation = &self.settings.correlation;
         let seconds = self.sweeps.last().map(|last| last.seconds).filter(|seconds| *seconds > 0.0)?;
@@ -100,7 +102,8 @@ impl<'a> FirstSweepsPlaced<'a> {
         (is_told && way.abs() >= correlation.resolution()).then(|| velocity * correlation.shrinkage(way))
     }
 
-    /// Every sweep looked for in every one before it. What several earlier sweeps tell of one is not independent: together they count once.
+    /// Likelihoods of the shifts between all pairs of sweeps. Those of one sweep and several earlier ones
+    /// are not independent: together they count once.
     fn pairs(&self, direction: &na::Vector2<f64>, sigmas: &Motion) -> Vec<Pair> {
         let correlation = &self.settings.correlation;
         let per = self.settings.registration.points_per_independent_one;
@@ -125,7 +128,7 @@ impl<'a> FirstSweepsPlaced<'a> {
 }
 
 impl PlacedSweep {
-    /// Of points in the local map.
+    /// A sweep with these points in the local map.
     fn new(
         seconds: f64,
         place: &Vector3,
@@ -145,7 +148,7 @@ impl PlacedSweep {
     }
 }
 
-/// All motions that are tried.
+/// All motions that are tested.
 fn motions(sigmas: &Motion, velocity_step: f64) -> Vec<Motion> {
     let velocities = (REACH_SIGMAS * sigmas.velocity / velocity_step).ceil() as i32;
     let acceleration_step = REACH_SIGMAS * sigmas.acceleration / f64::from(ACCELERATION_STEPS);
@@ -159,7 +162,7 @@ fn motions(sigmas: &Motion, velocity_step: f64) -> Vec<Motion> {
 }
 
 impl Motion {
-    /// Metres until a time, seconds after the first sweep.
+    /// Displacement until a time, seconds after the first sweep, metres.
     fn way(&self, seconds: f64) -> f64 {
         self.velocity * seconds + 0.5 * self.acceleration * seconds * seconds
     }
@@ -169,14 +172,14 @@ impl Motion {
         of(self.velocity, sigmas.velocity) + of(self.acceleration, sigmas.acceleration)
     }
 
-    /// Of standard deviations: that of the way from one time to another.
+    /// For standard deviations: that of the displacement from one time to another.
     fn spread(&self, from: f64, to: f64) -> f64 {
         (self.velocity * (to - from)).hypot(0.5 * self.acceleration * (to * to - from * from))
     }
 }
 
 impl Pair {
-    /// The likelihood of a motion. What it does not reach fits as badly as nearly all.
+    /// The log-likelihood of a motion. A shift outside the tested range has that of most shifts.
     fn log_of(&self, motion: &Motion) -> f64 {
         let shift = motion.way(self.to) - motion.way(self.from);
         let at = shift / self.step + self.middle;
@@ -196,8 +199,9 @@ mod tests {
         (0..8).map(move |k| Point3f::new(x as f32, y as f32, 0.25 * k as f32 - 1.0))
     }
 
-    /// How much faster than believed a car was that drove along x at 15 m/s and accelerated, by the first ten sweeps. Posts stand
-    /// beside the road, a guard rail is seen up to 40 m ahead and behind, and another car stays beside this one.
+    /// Estimated error of the assumed velocity of a car that drove along x at 15 m/s and accelerated, from
+    /// the first ten sweeps. Posts stand beside the road, a guard rail is seen up to 40 m ahead and
+    /// behind, and another car stays beside this one.
     fn told(believed: f64, acceleration: f64, posts: &[f64]) -> Option<f64> {
         let settings = OdometrySettings::default();
         let place = |velocity: f64, seconds: f64| Vector3::x() * velocity * seconds;

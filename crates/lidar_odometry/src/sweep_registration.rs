@@ -1,5 +1,5 @@
-//! Registration of one sweep with one hypothesis of its motion: which points, how far off the prediction may be, and how
-//! well the result fits.
+//! Registers one sweep under one hypothesis of its motion: selects the points, sets the prior, and
+//! computes the fit of the result.
 
 use portolan_geometry::{Rigid3, Vector3};
 use portolan_sensor::{TimedPoint, voxel_filter_indices};
@@ -19,35 +19,35 @@ use crate::settings::{MotionPriorSettings, OdometrySettings, SweepSettings};
 use crate::sweep::Sweep;
 
 impl MotionPriorSettings {
-    /// How far unseen accelerations take a platform in so many seconds, metres.
+    /// Displacement of a platform by unmeasured accelerations over this time, seconds; metres.
     pub(crate) fn by_acceleration(&self, seconds: f64) -> f64 {
         0.5 * self.acceleration * seconds * seconds
     }
 }
 
-/// A sweep that was registered, or would have been.
+/// A sweep after registration, successful or not.
 pub(crate) struct RegisteredSegment {
     /// At the end of the sweep.
     pub local_from_tracking: Rigid3,
     /// Motion compensation to the end.
     pub to_end: PiecewiseLinearTrajectory,
-    /// None where the sweep fits nothing and the prediction is all there is.
+    /// None where the sweep does not fit; the pose is then the prediction.
     pub found: Option<RegistrationResult>,
-    /// How well it fits: the fraction of points on planes, less if they lie far off.
+    /// Fit: the fraction of points on planes, reduced by their distance from them.
     pub fit: f64,
-    /// As much of it as tells how it moved.
+    /// Fit of the points that constrain the motion.
     pub evidence: f64,
-    /// Whether the sweep fits only far from the rotation that was predicted.
+    /// Whether the sweep fits only far from the predicted rotation.
     pub contradicts_rotation: bool,
 }
 
 impl RegisteredSegment {
-    /// To be compared with other sweeps.
+    /// Its fit, for comparison with other sweeps.
     pub fn sweep_fit(&self) -> SweepFit {
         SweepFit { fit: self.fit, rms: self.found.as_ref().map(|found| found.rms) }
     }
 
-    /// Translations that planes leave open, orthonormal, in the local map: all where it fits nothing.
+    /// Degenerate translations by planes, orthonormal, in the local map: all where it does not fit.
     pub fn open_translations(&self) -> Vec<Vector3> {
         let Some(found) = &self.found else { return vec![Vector3::x(), Vector3::y(), Vector3::z()] };
         let local_from_map = self.local_from_tracking.rotation * found.pose.rotation.inverse();
@@ -55,7 +55,7 @@ impl RegisteredSegment {
     }
 }
 
-/// What a sweep is registered to.
+/// The map that a sweep is registered to.
 pub(crate) struct Target<'a> {
     pub local_from_map: &'a Rigid3,
     pub planes: &'a PlaneMap,
@@ -69,17 +69,17 @@ pub(crate) struct SweepRegistration {
     settings: SweepSettings,
     prior: MotionPriorSettings,
     outlier_sigmas: f64,
-    /// How far off rotations are after a second, whose bias may not be known yet, rad/s.
+    /// Drift of rotations with a bias that may still be unknown, rad/s.
     gyroscope_drift: f64,
-    /// How far off points may be after a coarse alignment, metres.
+    /// Scale of the loss after a coarse alignment, metres.
     coarse_scale: f64,
-    /// Points that far off, metres, count little.
+    /// Distance from their plane beyond which points have little weight, metres.
     final_scale: f64,
-    /// Edge of these voxels at least: closer points tell the same.
+    /// Minimum edge of the sampling voxels: closer points are redundant.
     least_spacing: f32,
-    /// Edge of the voxels of which one point each is registered, adapted from sweep to sweep.
+    /// Edge of the sampling voxels, of which one point each is registered; adapted from sweep to sweep.
     spacing: f32,
-    /// How far off predicted rotations were.
+    /// Innovations of predicted rotations.
     innovations: Innovations,
     /// Whether a gyroscope measured the rotation until the end of the last sweep, where the next segment starts.
     start_is_measured: bool,
@@ -102,7 +102,7 @@ impl SweepRegistration {
         }
     }
 
-    /// Points that cover everything seen, in order of time.
+    /// A sample of points, evenly over the sweep, in order of time.
     pub fn sample(&self, sweep: &Sweep) -> Vec<TimedPoint> {
         let kept = voxel_filter_indices(&sweep.points, |p| p.position, self.spacing);
         let mut sample: Vec<TimedPoint> =
@@ -111,17 +111,17 @@ impl SweepRegistration {
         sample
     }
 
-    /// Samples the next sweep so that as many points are kept as wanted, after so many were.
+    /// Adapts the spacing to the wanted number of points, after this number was kept.
     pub fn adapt(&mut self, kept: u64) {
         if kept == 0 {
             return;
         }
-        // Points lie on surfaces.
+        // Points are on surfaces, so their number goes with the square of the spacing.
         let wanted = (kept as f32 / self.settings.wanted_points).sqrt();
         self.spacing = (self.spacing * wanted).max(self.least_spacing);
     }
 
-    /// Learns how far off a segment was predicted that was registered.
+    /// Learns the error of the prediction of a registered segment.
     pub fn learn(&mut self, segment: &TrajectorySegment, registered: &RegisteredSegment) {
         self.start_is_measured = segment.rotation_is_measured();
         let Some(found) = &registered.found else { return };
@@ -143,13 +143,14 @@ impl SweepRegistration {
         target: &Target<'_>,
     ) -> RegisteredSegment {
         let prior = self.motion_prior(segment);
-        // As far off as does not contradict the prediction; points that lie farther from a plane are not in its voxel.
+        // The largest offset that does not contradict the prediction; points farther from a plane are not
+        // in its voxel.
         let possible = self.outlier_sigmas * prior.growth.translation;
         let diagonal = 3_f64.sqrt() * f64::from(target.planes.edge());
         self.register_with(sample, segment, target, &prior, possible.min(diagonal))
     }
 
-    /// Registers a sample near a segment that was found coarsely.
+    /// Registers a sample near a segment from a coarse search.
     pub fn register_widely(
         &self,
         sample: &[TimedPoint],
@@ -176,14 +177,15 @@ impl SweepRegistration {
         self.registered(segment, local_from_map, found)
     }
 
-    /// A segment (in the local map) that was registered with this result.
+    /// A segment (in the local map) with this result of its registration.
     pub fn registered(
         &self,
         segment: &TrajectorySegment,
         local_from_map: &Rigid3,
         found: Option<RegistrationResult>,
     ) -> RegisteredSegment {
-        // However precise a gyroscope was lately, it fails by as much as is unusual for any.
+        // However precise a gyroscope was recently, a failure is an error that is unusual for any
+        // gyroscope.
         let possible = match segment.rotation_is_measured() {
             true => self.usual_growth(segment).rotation,
             false => self.motion_prior(segment).growth.rotation,
@@ -202,7 +204,8 @@ impl SweepRegistration {
         }
     }
 
-    /// What may be added to a predicted segment until its end. Drifts grow with time, what is unmeasured with its square.
+    /// Assumed standard deviations of the error that a predicted segment gains until its end. Drifts grow
+    /// with time, errors of unmeasured motion with its square.
     fn usual_growth(&self, segment: &TrajectorySegment) -> Sigmas {
         let (prior, seconds) = (&self.prior, segment.seconds());
         let least = prior.least_translation_error;
@@ -220,8 +223,9 @@ impl SweepRegistration {
         }
     }
 
-    /// Where the points of a registered sweep alone put it, along the directions of which they say more than the prior: what that
-    /// keeps it off by is taken out. `local_from_map`: of the planes. None where they fit nothing.
+    /// Position of a registered sweep by its points alone, along the directions that they constrain more
+    /// than the prior does: the pull of the prior is removed. `local_from_map`: of the planes. None where
+    /// the points do not fit.
     pub fn measured_place(&self, best: &Registered, local_from_map: &Rigid3) -> Option<MeasuredPlace> {
         let Registered { segment, registered, reason } = best;
         let turn = local_from_map.rotation.to_rotation_matrix();
@@ -237,7 +241,7 @@ impl SweepRegistration {
                 continue;
             }
             let direction = direction.into_owned();
-            // What was looked for far and wide is held by no prior.
+            // The result of a wide search is not held by a prior.
             let held = if *reason == Some(Reason::OtherMotion) { 0.0 } else { variance / of_prior };
             local_from_tracking.translation.vector += direction * (held * direction.dot(&correction));
             told.push((direction, variance));
@@ -245,7 +249,8 @@ impl SweepRegistration {
         Some(MeasuredPlace { local_from_tracking, covariance, of_prior, told })
     }
 
-    /// How far off a predicted segment may be: as usual, less where rotations were less off lately.
+    /// Prior of a predicted segment: the assumed standard deviations, smaller where recent rotations were
+    /// more precise.
     fn motion_prior(&self, segment: &TrajectorySegment) -> MotionPrior {
         let (prior, usual) = (&self.prior, self.usual_growth(segment));
         let (start_rotation, rotation) = match segment.gyroscope_sigma {

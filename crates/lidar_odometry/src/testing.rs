@@ -1,4 +1,4 @@
-//! What tests share.
+//! Helpers shared by tests.
 
 use portolan_geometry::{Point3f, Rigid3, to_f32};
 

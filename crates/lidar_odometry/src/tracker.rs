@@ -1,4 +1,4 @@
-//! Tracking: what is done with every sweep once there is a map.
+//! Tracking: processes every sweep once there is a map.
 
 mod finding;
 mod observability;
@@ -31,58 +31,60 @@ use crate::sweep_registration::SweepRegistration;
 use crate::witness::TravelWitness;
 use finding::Found;
 
-/// A sweep that was registered.
+/// A registered sweep.
 #[derive(Clone, Debug)]
 pub struct RegisteredSweep {
-    /// The sweep as it was given.
+    /// The raw sweep.
     pub sweep: Sweep,
     /// The tracking frame in the local map at the end of the sweep.
     pub local_from_tracking: Rigid3,
-    /// From the tracking frame at the end of the sweep to a gravity-aligned one.
+    /// Rotation from the tracking frame at the end of the sweep to a gravity-aligned one.
     pub gravity_from_tracking: Quaternion,
     /// The de-skewed points in the tracking frame at the end of the sweep.
     pub deskewed: RangeData,
     /// The de-skewed points in the local map.
     pub in_local: RangeData,
-    /// Which motion the sweep constrains.
+    /// Directions of motion that the sweep constrains.
     pub observability: Observability,
-    /// What else is known if it is a key frame.
+    /// Additional data if it is a key frame.
     pub keyframe: Option<Keyframe>,
     /// Present where the pose was lost before this sweep, which begins a new piece of map.
     pub begun: Option<PieceBegun>,
     pub(crate) belief: PoseBelief,
-    /// How well it fits.
+    /// Fit to the map.
     pub(crate) fit: f64,
-    /// As much of it as tells how it moved.
+    /// Fit of the points that constrain the motion.
     pub(crate) evidence: f64,
 }
 
-/// What makes a key frame.
+/// Data of a key frame.
 #[derive(Clone, Debug)]
 pub struct Keyframe {
-    /// The map of planes that it completed.
+    /// The planar voxel map that it completed.
     pub completed_map: Option<PlaneMap>,
 }
 
-/// Another map than that of planes, which is asked where a sweep fits no plane.
+/// Another map than that of planes, for sweeps that fit no plane.
 pub trait Fallback {
-    /// Where de-skewed points (in the tracking frame) lie, near a predicted pose. None if it does not know either.
+    /// The pose of de-skewed points (in the tracking frame) near a predicted one. None if they do not fit
+    /// this map, either.
     fn locate(&mut self, deskewed: &PointCloud, local_from_tracking: &Rigid3) -> Option<Rigid3>;
 
-    /// Standard deviation of the places that it tells, metres.
+    /// Standard deviation of its positions, metres.
     fn error(&self) -> f64;
 }
 
-/// Where a sweep ended.
+/// Pose at the end of a sweep.
 struct Place {
     local_from_tracking: Rigid3,
-    /// Covariance of what attenuation may keep it off by, m² in the local map; none where the sweep fits nothing.
+    /// Covariance of the position error by attenuation, m² in the local map; none where the sweep does not
+    /// fit.
     attenuation: Option<Matrix3<f64>>,
     /// Whether it is that of a zero-velocity update.
     is_standing: bool,
 }
 
-/// Follows sweep after sweep.
+/// Registers sweep after sweep.
 #[derive(Clone)]
 pub(crate) struct Tracker {
     settings: OdometrySettings,
@@ -96,29 +98,30 @@ pub(crate) struct Tracker {
     fits: FitMonitor,
     /// Points of the last sweep that fitted, in the local map.
     last_fitting: Arc<Vec<Point3f>>,
-    /// When a sweep last fitted planes.
+    /// Time at which a sweep last fitted planes.
     fitted_at: Time,
-    /// Seconds between the last two sweeps.
+    /// Time between the last two sweeps, seconds.
     last_interval: f64,
     memory: Memory,
-    /// Of all sweeps so far, if anything is remembered.
+    /// Fingerprint of all sweeps so far, if results are remembered.
     seen: Fingerprint,
 }
 
 impl Tracker {
-    /// Begins with the first sweep, moving as a hypothesis says: makes it the first key frame at the origin of the local map.
+    /// Begins with the first sweep under a hypothesis of its motion: makes it the first key frame at the
+    /// origin of the local map.
     pub fn begin(
         settings: &OdometrySettings,
         mut motion: MotionState,
         first: Sweep,
         start: Start,
     ) -> (Self, RegisteredSweep) {
-        // 1. Velocity, and without an IMU the vertical.
+        // 1. The velocity, and without an IMU the vertical.
         let measured = motion.measured_rotation();
         let rotation_at = measured.as_ref().map(|measured| measured as &RotationAt);
         let sweeps = FirstSweeps::new(&first, rotation_at, settings, start);
         let (to_end, end) = (sweeps.deskewing(&first), sweeps.pose_at(first.end));
-        // 2. An earlier pose, so that the extrapolator knows the velocity.
+        // 2. An earlier pose, which gives the extrapolator the velocity.
         let earliest = motion.extrapolator.last_pose_time().filter(|_| motion.has_imu).unwrap_or(Time::MIN);
         let interval = Duration::from_seconds(VELOCITY_INTERVAL);
         let before = (first.end - interval).max(earliest);
@@ -163,18 +166,19 @@ impl Tracker {
         (tracker, registered)
     }
 
-    /// Horizontal translations that planes left open in the last sweep, in the local map, orthonormal.
+    /// Horizontal degenerate translations of the last sweep by planes, in the local map, orthonormal.
     pub fn open_horizontally(&self) -> Vec<nalgebra::Vector2<f64>> {
         self.witness.horizontal_directions()
     }
 
-    /// Another one that goes on from here, to try something out.
+    /// A copy of the tracker for trials.
     pub fn fork(&self) -> Self {
         Self { memory: Memory::default(), ..self.clone() }
     }
 
-    /// How well sweeps fit in all what tells of the motion, if they are followed from here, the first of them after a motion that
-    /// is assumed if there is one; none, as soon as that is certain, if they do not fit better than `least`. Hands on each sweep.
+    /// Total fit of sweeps by the points that constrain the motion, if they are tracked from here; the
+    /// first of them after the motion `gap`, if given. None, as soon as that is certain, if they do not
+    /// fit better than `least`. Passes each sweep to `each`.
     pub fn fit_better(
         &mut self,
         least: f64,
@@ -185,7 +189,7 @@ impl Tracker {
     ) -> Option<f64> {
         let mut fit = 0.0;
         for (i, sweep) in sweeps.iter().enumerate() {
-            // No sweep fits better than by 1, and sums are rounded.
+            // The fit of a sweep is at most 1, and sums are rounded.
             if fit + (sweeps.len() - i) as f64 + 1e-9 < least {
                 return None;
             }
@@ -200,11 +204,11 @@ impl Tracker {
     pub fn is_after_gap(&self, end: Time) -> bool {
         let last = self.motion.extrapolator.last_pose_time();
         let seconds = last.map_or(0.0, |last| end.seconds_since(last));
-        // Key frames are always far apart.
+        // Sweeps of key frames only are always far apart.
         seconds - self.last_interval > self.settings.hypotheses.long_gap
     }
 
-    /// Registers a sweep to the planes around; the first one after a gap may come after a motion that is assumed.
+    /// Registers a sweep to the local map; the first one after a gap may come with an assumed motion.
     pub fn register(
         &mut self,
         gap: Option<GapMotion>,
@@ -214,9 +218,9 @@ impl Tracker {
     ) -> RegisteredSweep {
         // 1. Predict the motion during the sweep: standing, odometry, IMU or constant velocity.
         let (prediction, velocities) = self.predict(gap, &sweep);
-        // 2. Register all hypotheses of it to planes and poles; the one that fits best counts.
+        // 2. Register all hypotheses of it to planes and poles, and accept the one that fits best.
         let Found { best, poles } = self.best_hypothesis(&sweep, &prediction, issues);
-        // 3. Does it fit as well as the sweeps before it?
+        // 3. Compare its fit with those of the sweeps before it.
         let is_measured = best.segment.source != MotionSource::ConstantVelocity;
         let support = Support { fit: best.registered.sweep_fit(), is_measured };
         let belief = self.fits.after(sweep.end, support, self.is_warming_up());
@@ -224,7 +228,7 @@ impl Tracker {
         let observability = self.observability(sweep.end, &best, prediction.standing.is_some(), issues);
         // 5. De-skew with the registered motion.
         let deskewed = deskewed(&sweep.points, &best.registered.to_end, self.settings.keeps_intensities);
-        // 6. Where no plane fits another map may know, and a platform at rest stands where it stood.
+        // 6. Where no plane fits, ask the fallback map; keep a platform at rest at its pose.
         let place = self.place(sweep.end, &best, &deskewed, fallback);
         let measured = self.registration.measured_place(&best, &self.local_map.older().local_from_map);
         // 7. Correct the inertial filter and the extrapolator.
@@ -245,7 +249,7 @@ impl Tracker {
         if prediction.odometry.is_some() && self.motion.doubts_odometry() {
             issues.count(Issue::OdometryOverruled);
         }
-        // 8. Show the map what the sweep saw, as a key frame or not; nothing if it contradicts the map.
+        // 8. Insert the sweep into the map, as a key frame or not; not if it contradicts the map.
         let mut result = RegisteredSweep {
             observability,
             belief,
@@ -261,7 +265,7 @@ impl Tracker {
         result
     }
 
-    /// What is expected of a sweep, and how it moves then if that does not follow from the pose before.
+    /// Prediction for a sweep, and its velocities if they do not follow from the pose before.
     fn predict(&mut self, gap: Option<GapMotion>, sweep: &Sweep) -> (Prediction, Option<Velocities>) {
         let prediction = match &gap {
             Some(motion) => self.motion.predict_after(sweep.end, motion),
@@ -274,7 +278,7 @@ impl Tracker {
         }
     }
 
-    /// Where a sweep ended that was registered like this.
+    /// Pose at the end of a sweep after this registration.
     fn place(
         &mut self,
         end: Time,
@@ -295,8 +299,8 @@ impl Tracker {
         Place { local_from_tracking: standing.unwrap_or(pose), attenuation, is_standing: standing.is_some() }
     }
 
-    /// The covariance of what attenuation may keep a place off by, m² in the local map: none where a sweep fits nothing, zero where
-    /// no accelerometer knows better.
+    /// The covariance of the position error by attenuation, m² in the local map: none where a sweep does
+    /// not fit, zero where the accelerometer is not used.
     fn attenuation_in_local(&self, best: &Registered) -> Option<Matrix3<f64>> {
         let found = best.registered.found.as_ref()?;
         if !matches!(best.segment.source, MotionSource::Inertial { .. }) {
@@ -306,8 +310,9 @@ impl Tracker {
         Some(turn * found.attenuation * turn.transpose())
     }
 
-    /// Whether another map is asked for a sweep that fits no plane. Grids of a bare place were drawn by the beams, and hold
-    /// a scanner where it was: where a gyroscope measures rotation, it goes on as before for a while.
+    /// Whether the fallback map is asked for a sweep that fits no plane. Grids of a place with few
+    /// structures were made by the beams themselves, and hold a scanner at its old position: where a
+    /// gyroscope measures the rotation, constant velocity is used for a while first.
     fn asks_fallback(&mut self, end: Time, segment: &TrajectorySegment, fits_planes: bool) -> bool {
         if fits_planes {
             self.fitted_at = end;
@@ -318,7 +323,7 @@ impl Tracker {
             && (!segment.rotation_is_measured() || is_long)
     }
 
-    /// Shows map, poles and witness a sweep that fits.
+    /// Inserts a sweep that fits into map, poles and travel witness.
     fn show(
         &mut self,
         registered: &mut RegisteredSweep,
@@ -330,7 +335,8 @@ impl Tracker {
         if let Some(poles) = poles {
             self.poles.add(end, registered.local_from_tracking, poles);
         }
-        // Without a gyroscope the first sweeps are not straight enough to be worth more than their motion.
+        // Without a gyroscope the first sweeps are not de-skewed well enough to be key frames regardless
+        // of motion.
         let is_wanted = rotation_is_measured && self.is_warming_up();
         self.last_fitting = Arc::new(registered.in_local.returns.points.clone());
         self.insert(registered, is_standing, is_wanted);
@@ -338,7 +344,7 @@ impl Tracker {
         self.witness.add(end, &registered.in_local.returns.points, place);
     }
 
-    /// Shows the map what the last sweep saw, as a key frame if it is one.
+    /// Inserts the last sweep into the map, as a key frame if it is one.
     fn insert(&mut self, registered: &mut RegisteredSweep, is_standing: bool, is_wanted: bool) {
         let decision = self.keyframes.decide(&Candidate {
             time: registered.sweep.end,
@@ -364,7 +370,7 @@ impl Tracker {
         self.local_map.is_warming_up()
     }
 
-    /// Remembers what is found of sweeps with this.
+    /// Sets the memory in which results of sweeps are remembered.
     pub fn remember_with(&mut self, memory: &Memory) {
         self.memory = memory.clone();
     }
@@ -387,7 +393,7 @@ impl Tracker {
 }
 
 impl RegisteredSweep {
-    /// Without a gyroscope's gravity z of the local map has pointed up since the first sweep.
+    /// Without gravity from an IMU, z of the local map has pointed up since the first sweep.
     fn new(
         sweep: Sweep,
         local_from_tracking: Rigid3,
@@ -409,14 +415,14 @@ impl RegisteredSweep {
         }
     }
 
-    /// Puts it elsewhere in the local map.
+    /// Moves it to another pose in the local map.
     pub fn place_at(&mut self, local_from_tracking: &Rigid3) {
         self.local_from_tracking = *local_from_tracking;
         self.in_local = self.deskewed.transformed(&to_f32(local_from_tracking));
     }
 
-    /// From the gravity-aligned frame to the local map. Maps begin with it, and the next poses follow from them: a length other
-    /// than one would double with each map.
+    /// Rotation from the gravity-aligned frame to the local map, normalised: maps begin with it, and the
+    /// next poses follow from them, so that an error of the norm would double with each map.
     pub fn local_from_gravity(&self) -> Quaternion {
         let rotation = self.local_from_tracking.rotation * self.gravity_from_tracking.inverse();
         Quaternion::new_normalize(rotation.into_inner())

@@ -1,15 +1,15 @@
-//! Two pieces of work side by side, where that is worth waking a second thread.
+//! Runs two tasks in parallel, where that is worth waking a second thread.
 
-/// Fewer points are done with before a second thread has woken.
+/// Number of points below which the work is done before a second thread has woken.
 const WORTHWHILE_POINTS: usize = 20_000;
 
-/// Whether work on so many points is worth another thread.
+/// Whether work on this number of points is worth another thread.
 pub fn is_worth_a_thread(points: usize) -> bool {
     points >= WORTHWHILE_POINTS
 }
 
-/// Does both, on two threads if they are about many points. What comes out does not depend on it. The first is done here: a
-/// thread outside of the pool would hand both over and wait.
+/// Runs both tasks, on two threads if they process enough points. The results do not depend on it. The
+/// first one runs here: a thread outside of the pool would hand both over and wait.
 pub fn both<A, B: Default + Send>(
     points: usize,
     first: impl FnOnce() -> A,

@@ -1,4 +1,4 @@
-//! The vertical from floors, ceilings and walls, for a trajectory that starts without an IMU.
+//! Estimates the vertical from floors, ceilings and walls, for a trajectory that starts without an IMU.
 
 use nalgebra as na;
 use portolan_geometry::Vector3;
@@ -7,11 +7,11 @@ use crate::plane_map::PlaneMap;
 use crate::settings::VerticalSettings;
 use crate::settings::constants::vertical::{CANDIDATES, LEAST_PLANES, WALL_WEIGHT};
 
-/// The direction in the frame of the planes that floors and ceilings face and walls do not, near
-/// `believed` (unit vectors). None if they do not tell.
+/// The direction in the frame of the planes that is normal to floors and ceilings and perpendicular to the
+/// normals of walls, near `believed` (unit vectors). None if the planes do not determine it.
 ///
 /// It minimises `Σ_walls w (n·u)² − Σ_floors w (n·u)²`, whose minimum is an eigenvector, with walls and
-/// floors chosen anew within narrowing tolerances.
+/// floors selected anew within narrowing tolerances.
 pub(crate) fn vertical_from_planes(
     map: &PlaneMap,
     believed: &Vector3,
@@ -48,7 +48,7 @@ pub(crate) fn vertical_from_planes(
     (fraction >= settings.min_fraction && up.dot(believed) > settings.max_tilt.cos()).then_some(up)
 }
 
-/// The believed direction, or the normal near it, that most planes agree with.
+/// The assumed direction, or the normal near it, that most planes agree with.
 fn best_start(planes: &[(Vector3, f64)], believed: &Vector3, settings: &VerticalSettings) -> Option<Vector3> {
     let believed = believed.try_normalize(1e-9)?;
     let tolerance = *settings.tolerances.first()?;

@@ -1,36 +1,37 @@
-//! Which voxels of a planar voxel map there are: the largest ones in a hash table, the eight smaller ones in each of them
-//! in a table of their own. Hits that come one after another lie near each other, and so do these tables: voxels of all
-//! sizes in one hash table are a wait for memory each.
+//! Index of the voxels of a planar voxel map: the largest ones in a hash table, the eight smaller ones in
+//! each of them in a table of their own. Consecutive hits are near each other, and so are these tables.
+//! With voxels of all sizes in one hash table each access would wait for memory.
 
 use nalgebra as na;
 use portolan_spatial::DenseIndex;
 
-/// Sizes of voxels, each half of the one before.
+/// Number of voxel sizes, each half of the one before.
 pub(super) const LEVELS: u32 = 3;
-/// Voxels of each size reach this far from the origin along each axis.
+/// Number of voxels of each size from the origin to the border along each axis.
 const MAX_INDEX: u32 = 1 << INDEX_BITS >> 1;
 const INDEX_BITS: u32 = 11;
-/// Smallest voxels along the edge of a largest one, and along the edge of all largest ones.
+/// Number of smallest voxels along the edge of a largest one, and along the edge of the whole map.
 pub(super) const SMALLEST_IN_LARGEST: f32 = (1 << (LEVELS - 1)) as f32;
 pub(super) const SMALLEST_IN_ALL: f32 = (1 << SMALLEST_BITS) as f32;
 const SMALLEST_BITS: u32 = INDEX_BITS + LEVELS - 1;
-/// No voxel has this number.
+/// Number that marks a missing voxel.
 const NONE: u32 = u32::MAX;
-/// The numbers of the smaller voxels in one that has none.
+/// Table of a voxel without smaller ones.
 const NO_CHILDREN: [u32; 8] = [NONE; 8];
 
 /// Numbers of voxels: dense, in the order in which they were added.
 #[derive(Clone, Debug)]
 pub(super) struct VoxelTree {
     largest: DenseIndex,
-    /// Of each voxel, the place in `tables` of the smaller ones in it. The first table is that of voxels without any.
+    /// For each voxel, the index in `tables` of the smaller ones in it. The first table is that of voxels
+    /// without any.
     table_of: Vec<u32>,
-    /// By [`Smallest::octant`].
+    /// Indexed by [`Smallest::octant`].
     tables: Vec<[u32; 8]>,
 }
 
 impl VoxelTree {
-    /// Without voxels; takes so many before it grows.
+    /// An empty tree with capacity for this number of voxels.
     pub fn with_capacity(voxels: usize) -> Self {
         Self {
             largest: DenseIndex::with_capacity(0),
@@ -46,18 +47,18 @@ impl VoxelTree {
             + self.tables.capacity() * size_of::<[u32; 8]>()
     }
 
-    /// How many voxels there are: the number of the next one.
+    /// Number of voxels, which is the number of the next one.
     pub fn len(&self) -> usize {
         self.table_of.len()
     }
 
-    /// The number of the largest voxel around a place.
+    /// The number of the largest voxel around a position.
     #[inline]
     pub fn largest(&self, smallest: Smallest) -> Option<usize> {
         self.largest.get(smallest.key())
     }
 
-    /// The number of the voxel of a size (not the largest) around a place, in the next larger one.
+    /// The number of the voxel of a size (not the largest) around a position, in the next larger one.
     #[inline]
     pub fn child(&self, parent: usize, smallest: Smallest, level: u32) -> Option<usize> {
         let children = &self.tables[self.table_of[parent] as usize];
@@ -65,13 +66,14 @@ impl VoxelTree {
         (number != NONE).then_some(number as usize)
     }
 
-    /// Adds the largest voxel around a place, which is not there yet. Its number.
+    /// Adds the largest voxel around a position, which must not exist yet. Gives its number.
     pub fn add_largest(&mut self, smallest: Smallest) -> usize {
         self.largest.insert(smallest.key(), self.len());
         self.add()
     }
 
-    /// Adds a smaller voxel (there are fewer than 2²⁸ of them), which is not there yet. Its number.
+    /// Adds a smaller voxel (there are fewer than 2²⁸ of them), which must not exist yet. Gives its
+    /// number.
     pub fn add_child(&mut self, parent: usize, smallest: Smallest, level: u32) -> usize {
         self.set_child(parent, smallest.octant(level), self.len());
         self.add()
@@ -90,7 +92,8 @@ impl VoxelTree {
         self.tables[self.table_of[parent] as usize][octant] = number as u32;
     }
 
-    /// The voxels that are wanted, of those that lie in none that is not, and their numbers here, ascending.
+    /// The tree of the wanted voxels whose larger voxels are all wanted, too, and their numbers in this
+    /// tree, ascending.
     pub fn filtered(&self, is_wanted: impl Fn(usize) -> bool) -> (Self, Vec<usize>) {
         let wanted_largest = || self.largest.iter().filter(|(_, number)| is_wanted(*number));
         let mut kept: Vec<usize> = wanted_largest().map(|(_, number)| number).collect();
@@ -121,8 +124,8 @@ impl VoxelTree {
         (filtered, kept)
     }
 
-    /// Of each voxel, in the order of their numbers, the first smallest voxel in it and its size; what lies in none of the largest ones
-    /// is [`None`].
+    /// For each voxel, in the order of their numbers, the first smallest voxel in it and its size;
+    /// [`None`] for one outside of all largest voxels.
     pub fn places(&self) -> Vec<Option<(Smallest, u32)>> {
         let mut places = vec![None; self.len()];
         let mut open: Vec<(usize, Smallest, u32)> =
@@ -146,7 +149,8 @@ impl VoxelTree {
     }
 }
 
-/// Indices of a smallest voxel from the corner of all of them. A larger one has those without their last bits.
+/// Indices of a smallest voxel from the corner of the whole map. A larger one has these without their last
+/// bits.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Smallest {
     x: u32,
@@ -155,10 +159,10 @@ pub(super) struct Smallest {
 }
 
 impl Smallest {
-    /// The voxel around a place in smallest voxels from the corner, if it is one of all.
+    /// The voxel around a position, given in smallest voxels from the corner; none outside of the map.
     #[inline]
     pub fn around(scaled: &na::Vector3<f32>) -> Option<Self> {
-        // Numbers from here to twice that share their exponent, and what they are more stands in the bits below it.
+        // Numbers from this one to twice it share their exponent, and the excess is in the bits below it.
         const EXPONENT: u32 = SMALLEST_IN_ALL.to_bits();
         const BELOW: u32 = f32::MANTISSA_DIGITS - 1 - SMALLEST_BITS;
         let bits = |v: f32| (v + SMALLEST_IN_ALL).to_bits() ^ EXPONENT;
@@ -174,37 +178,37 @@ impl Smallest {
         index(self.x) | index(self.y) << 12 | index(self.z) << 24
     }
 
-    /// The first of those in the largest voxel with this key.
+    /// The first smallest voxel in the largest voxel with this key.
     fn of_key(key: u64) -> Self {
         let index = |shift: u32| ((key >> shift) as u32 & 0xfff) << (LEVELS - 1);
         Self { x: index(0), y: index(12), z: index(24) }
     }
 
-    /// The first of those in a smaller voxel, of this size, of the voxel of which this one is the first.
+    /// The first smallest voxel in an octant, of this size, of the voxel of which this is the first one.
     fn in_octant(self, octant: usize, level: u32) -> Self {
         let bit = |axis: u32| (octant as u32 >> axis & 1) << (LEVELS - 1 - level);
         Self { x: self.x | bit(0), y: self.y | bit(1), z: self.z | bit(2) }
     }
 
-    /// With these indices, if there is such a voxel.
+    /// The voxel with these indices, if it exists.
     pub fn of_indices(indices: [u32; 3]) -> Option<Self> {
         let [x, y, z] = indices;
         ((x | y | z) >> SMALLEST_BITS == 0).then_some(Self { x, y, z })
     }
 
-    /// Its indices from the corner of all of them.
+    /// Its indices from the corner of the whole map.
     pub fn indices(self) -> [u32; 3] {
         [self.x, self.y, self.z]
     }
 
-    /// Which of the eight in the next larger voxel the one of this size (not the largest) around it is.
+    /// Octant, in the next larger voxel, of the voxel of this size (not the largest) around it.
     #[inline]
     fn octant(self, level: u32) -> usize {
         let bit = |smallest: u32| smallest >> (LEVELS - 1 - level) & 1;
         (bit(self.x) | bit(self.y) << 1 | bit(self.z) << 2) as usize
     }
 
-    /// Whether there are voxels of this size around it.
+    /// Whether the voxel of this size around it is within the map.
     #[inline]
     pub fn is_in_reach(self, level: u32) -> bool {
         let first = (MAX_INDEX << level) - MAX_INDEX;

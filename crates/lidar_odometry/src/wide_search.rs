@@ -1,8 +1,8 @@
-//! Another look at a sweep that contradicts the map: the platform may have moved otherwise than predicted, because it
-//! braked, was pushed, or because sweeps are far apart in time.
+//! Wide search for a sweep that contradicts the map: the platform may have moved differently than
+//! predicted, because it braked, was pushed, or because sweeps are far apart in time.
 //!
-//! As at the start of a trajectory the sweep is correlated with the one before it, with nothing known of the motion, and
-//! then registered to the map; where nothing measured the rotation, from several headings.
+//! As at the start of a trajectory the sweep is correlated with the one before it, without a prior of the
+//! motion, and then registered to the map; where the rotation was unmeasured, from several headings.
 
 use portolan_geometry::{Point3f, Rigid3, Vector3, quaternion_from_angle_axis, to_f32};
 
@@ -15,7 +15,7 @@ use crate::settings::OdometrySettings;
 use crate::sweep::Sweep;
 use crate::sweep_registration::{SweepRegistration, Target};
 
-/// Looks again.
+/// Inputs of a wide search.
 pub(crate) struct WideSearch<'a> {
     pub settings: &'a OdometrySettings,
     pub registration: &'a SweepRegistration,
@@ -26,12 +26,13 @@ pub(crate) struct WideSearch<'a> {
 }
 
 impl WideSearch<'_> {
-    /// The hypothesis under which the sweep fits best, if about as well as others do: the one that was registered, or another.
+    /// The hypothesis under which the sweep fits best, if its fit is not poor: the one that was
+    /// registered, or another.
     pub fn best(&self, sweep: &Sweep, prediction: &Prediction, first: Registered) -> Registered {
         let (segment, settings) = (&prediction.segment, &self.settings.correlation);
         let end = segment.end();
         let to_end = segment.deskewing(&SegmentCorrection::default());
-        // Both at the scanner, and level.
+        // Both relative to the scanner, and level.
         let (level, here) =
             (to_f32(&Rigid3::from_parts(Default::default(), end.rotation)), end.translation.vector.cast());
         let before: Vec<Point3f> = self.before.iter().map(|p| p - here).collect();
@@ -48,7 +49,7 @@ impl WideSearch<'_> {
             let registered = self.registration.register_widely(&sample, &segment, self.target);
             Registered { segment, registered, reason: Some(Reason::OtherMotion) }
         };
-        // A push right after the last sweep, harder than all that is unseen, takes it no farther.
+        // Limit: a push right after the last sweep, harder than any unmeasured acceleration.
         let OdometrySettings { motion_prior, hypotheses, registration, .. } = self.settings;
         let push = registration.outlier_sigmas * motion_prior.acceleration;
         let farthest = push * segment.seconds().powi(2);
@@ -62,7 +63,7 @@ impl WideSearch<'_> {
         hypotheses::best(first, others, Registered::fit, |peak, _| Some(register(peak)).filter(is_possible))
     }
 
-    /// Where the sweep may be, relative to where it is predicted, the likeliest first.
+    /// Poses of the sweep relative to the prediction, by correlation, the likeliest first.
     fn peaks(
         &self,
         before: &CorrelationReference<'_>,
@@ -82,7 +83,7 @@ impl WideSearch<'_> {
         peaks
     }
 
-    /// Headings to begin with, relative to the predicted one, radians: small ones first.
+    /// Initial headings relative to the predicted one, radians: small ones first.
     fn headings(&self, is_measured: bool) -> impl Iterator<Item = f64> {
         let step = 2.0 * self.settings.correlation.widest;
         let each = if is_measured { 0 } else { self.settings.hypotheses.headings_each_side };

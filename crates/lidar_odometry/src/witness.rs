@@ -1,11 +1,12 @@
-//! A second witness of the way travelled, which knows nothing of planes: what stands upright in the newest sweeps, correlated
-//! with what stood upright in sweeps about a second before. Where single sweeps are so sparse that two of them tell nothing,
-//! those of half a second together do; and within a second a wrong velocity shows as metres.
+//! A second, independent measurement of the distance travelled, which does not use planes: upright
+//! structures in the newest sweeps are correlated with those in sweeps about a second before. Where single
+//! sweeps are so sparse that two of them do not constrain the shift, those of half a second together do;
+//! and within a second a wrong velocity amounts to metres.
 //!
-//! Where planes leave translations open, and no sensor measures them, the witness tells them. Cars ahead are the densest
-//! thing that a sparse lidar sees, and they move along: it is looked for no farther off than an acceleration can have taken it since
-//! the witness last told. What it tells is the mean of all shifts by their likelihood ([`crate::shift_likelihood`]), and nothing
-//! where that leaves most of them possible.
+//! It measures translations that are degenerate for planes and that no sensor measures. Cars ahead are the
+//! densest structure that a sparse lidar sees, and they move along: the search is limited to the range
+//! that accelerations allow since the last measurement. The result is the mean of all shifts by their
+//! likelihood ([`crate::shift_likelihood`]), and none where most of them remain possible.
 
 use std::collections::VecDeque;
 
@@ -17,29 +18,31 @@ use crate::segment::{MotionSource, SegmentCorrection, TrajectorySegment};
 use crate::settings::{CorrelationSettings, MotionPriorSettings, OdometrySettings, WitnessSettings};
 use crate::sweep::Sweep;
 
-/// What stood upright in the last sweeps, and what planes leave open.
+/// Upright structures of the last sweeps, and the translations that planes do not constrain.
 #[derive(Clone)]
 pub(crate) struct TravelWitness {
     settings: WitnessSettings,
-    /// What is believed goes wrong by no more than unseen accelerations since the witness last agreed.
+    /// Limits the error of the assumed motion to that by unmeasured accelerations since the last
+    /// agreement.
     prior: MotionPriorSettings,
     correlation: CorrelationSettings,
-    /// So many points of a sweep are looked at, at most: twice as many as are registered, as only some stand upright.
+    /// Maximum number of points of a sweep that are used: twice as many as are registered, as only some
+    /// are upright.
     max_points: usize,
-    /// Neighbouring voxels share their errors, as neighbouring points do.
+    /// Number of neighbouring points, and so voxels, that count as one, since they share their errors.
     points_per_independent_one: f64,
     /// Oldest first.
     seen: VecDeque<Seen>,
     asked_at: Option<Time>,
-    /// When it last told where it is along all that was open.
+    /// The last measurement along all degenerate translations.
     told: Option<Telling>,
-    /// Translations that planes left open in the last sweep, in the local map, orthonormal.
+    /// Degenerate translations of the last sweep, in the local map, orthonormal.
     open: Vec<Vector3>,
-    /// Since when horizontal ones among them are.
+    /// Time since which there has been a horizontal one among them.
     open_since: Option<Time>,
 }
 
-/// When it told where it is, and how well, metres.
+/// Time of a measurement, and its standard deviation, metres.
 #[derive(Clone, Copy)]
 struct Telling {
     at: Time,
@@ -50,21 +53,22 @@ struct Telling {
 #[derive(Clone)]
 struct Seen {
     end: Time,
-    /// Where it was taken.
+    /// Position of the scanner.
     place: Vector3,
     points: Vec<Point3f>,
-    /// Those that stand upright, once they were asked for.
+    /// The upright ones, once they have been selected.
     upright: Option<Vec<Point3f>>,
 }
 
-/// How much farther it came than is believed, in the local map.
+/// Difference between the actual and the assumed motion, in the local map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Discrepancy {
     /// Metres, until now.
     pub shift: Vector3,
-    /// Seconds that it came about in.
+    /// Time over which it arose, seconds.
     pub seconds: f64,
-    /// With which power of time: 2 where the velocity was right and changed, 1 where it was wrong from the beginning.
+    /// Power of time with which it grew: 2 where the velocity was correct and changed, 1 where it was
+    /// wrong from the beginning.
     pub power: i32,
 }
 
@@ -89,7 +93,7 @@ impl TravelWitness {
         }
     }
 
-    /// Remembers a sweep that was registered: its points in the local map, and where it was taken.
+    /// Adds a registered sweep: its points in the local map, and the position of the scanner.
     pub fn add(&mut self, end: Time, points: &[Point3f], place: &Vector3) {
         let longest = self.settings.span + self.group();
         while self.seen.front().is_some_and(|first| end.seconds_since(first.end) > longest) {
@@ -99,7 +103,7 @@ impl TravelWitness {
         self.seen.push_back(seen);
     }
 
-    /// Takes note of the translations that planes leave open in a sweep, orthonormal, in the local map.
+    /// Takes the degenerate translations of a sweep by planes, orthonormal, in the local map.
     pub fn leaves_open(&mut self, end: Time, open: Vec<Vector3>) {
         self.open_since = match open.iter().any(is_horizontal) {
             true => self.open_since.or(Some(end)),
@@ -108,21 +112,21 @@ impl TravelWitness {
         self.open = open;
     }
 
-    /// Whether what planes leave open was told lately.
+    /// Whether the degenerate translations were measured recently.
     pub fn told_lately(&self, end: Time) -> bool {
         self.told.is_some_and(|told| end.seconds_since(told.at) <= self.settings.span)
     }
 
-    /// Whether planes left the way open, and the witness did not tell it, for half as long again as it looks back, so that it is a
-    /// guess.
+    /// Whether the distance travelled is a guess: a horizontal translation has been degenerate, and
+    /// unmeasured here, for 1.5 times the span between the compared sweeps.
     pub fn is_guess(&self, end: Time) -> bool {
         let is_long =
             |since: Option<Time>| since.is_none_or(|s| end.seconds_since(s) > 1.5 * self.settings.span);
         self.open_since.is_some() && is_long(self.open_since) && is_long(self.told.map(|told| told.at))
     }
 
-    /// How much farther it came than a prediction says, as far as planes left that open; none if nothing is to be changed. To be
-    /// asked of each sweep before it is registered.
+    /// Difference between the actual and the predicted motion along degenerate translations; none if the
+    /// prediction stays as it is. To be called for each sweep before it is registered.
     pub fn hear(&mut self, sweep: &Sweep, segment: &TrajectorySegment) -> Option<Discrepancy> {
         if segment.source.is_measured() || self.open.is_empty() {
             return None;
@@ -137,7 +141,8 @@ impl TravelWitness {
         let points = sweep.points.iter().map(|p| local_from_end * to_end.moved(&p.position, p.time));
         let now = self.seen(sweep.end, points, sweep.points.len(), &here);
         let discrepancy = self.compare(now)?;
-        // What a correlation does not resolve is its noise as likely as not, and an accelerometer knows better.
+        // A shift below the resolution of the correlation may be noise, and an accelerometer is more
+        // precise.
         if segment.source != MotionSource::ConstantVelocity
             && discrepancy.shift.norm() < self.correlation.resolution()
         {
@@ -152,8 +157,8 @@ impl TravelWitness {
         Seen { end, place: *place, points: points.step_by(stride).collect(), upright: None }
     }
 
-    /// Compares a sweep where it is believed to have been taken, and those right before it, with those about a second before.
-    /// None where that tells nothing: neither more than was known before, nor to within a cell.
+    /// Compares a sweep at its assumed pose, and those right before it, with those about a second before.
+    /// None where the shift is not measured: not more precisely than before, or not to within a cell.
     fn compare(&mut self, mut now: Seen) -> Option<Discrepancy> {
         self.seen.iter_mut().chain([&mut now]).for_each(|seen| seen.pick(&self.correlation));
         let sigma = self.sigma(now.end);
@@ -171,7 +176,8 @@ impl TravelWitness {
         let at_scanner = |points: &mut dyn Iterator<Item = &Point3f>| -> Vec<Point3f> {
             points.map(|p| p - here).collect()
         };
-        // Whatever stood there, upright or not: where beams meet only part of it, it does not seem to stand upright.
+        // All points are used as reference, upright or not: a structure that beams meet only in part does
+        // not count as upright.
         let all_before = at_scanner(&mut before.iter().flat_map(|seen| &seen.points));
         let reference = CorrelationReference::new(&all_before, &self.correlation);
         let upright_after = at_scanner(&mut after.iter().flat_map(|seen| seen.upright.iter().flatten()));
@@ -197,7 +203,7 @@ impl TravelWitness {
         Some(Discrepancy { shift, seconds, power })
     }
 
-    /// Horizontal directions that planes leave open, orthonormal.
+    /// Horizontal degenerate directions, orthonormal.
     pub fn horizontal_directions(&self) -> Vec<na::Vector2<f64>> {
         let mut found: Vec<na::Vector2<f64>> = Vec::new();
         for open in self.open.iter().filter(|open| is_horizontal(open)) {
@@ -207,12 +213,12 @@ impl TravelWitness {
         found
     }
 
-    /// Sweeps of so many seconds are put together: several thousand points where single ones have 1,400.
+    /// Time over which sweeps are combined, seconds: several thousand points where single ones have 1,400.
     fn group(&self) -> f64 {
         0.5 * self.settings.span
     }
 
-    /// How far off what is believed may be, metres (standard deviation).
+    /// Standard deviation of the assumed motion, metres.
     fn sigma(&self, end: Time) -> f64 {
         let unknown = self.correlation.unknown();
         self.told.map_or(unknown, |told| {
@@ -220,7 +226,7 @@ impl TravelWitness {
         })
     }
 
-    /// Moves what was seen where a discrepancy says that it is.
+    /// Moves the stored sweeps by a discrepancy.
     fn correct(&mut self, end: Time, discrepancy: &Discrepancy) {
         for seen in &mut self.seen {
             let shift = discrepancy.shift_at(end.seconds_since(seen.end)).cast::<f32>();
@@ -236,7 +242,7 @@ pub(crate) fn is_horizontal(direction: &Vector3) -> bool {
 }
 
 impl Seen {
-    /// Picks what stands upright.
+    /// Selects the upright points.
     fn pick(&mut self, settings: &CorrelationSettings) {
         let here = self.place.cast::<f32>();
         let points = &self.points;
@@ -248,12 +254,12 @@ impl Seen {
 }
 
 impl Discrepancy {
-    /// How much farther it had come so many seconds ago.
+    /// The shift at this time before now, seconds.
     fn shift_at(&self, age: f64) -> Vector3 {
         self.shift * (1.0 - age / self.seconds.max(1e-3)).max(0.0).powi(self.power)
     }
 
-    /// A prediction corrected by it.
+    /// The prediction, corrected by the discrepancy.
     pub fn applied_to(&self, predicted: &TrajectorySegment) -> TrajectorySegment {
         let seconds = predicted.seconds();
         predicted.clone().changed(|since, pose| pose.translation.vector += self.shift_at(seconds - since))
@@ -272,7 +278,8 @@ mod tests {
         Time::from_unix_seconds(100.0) + Duration::from_seconds(seconds)
     }
 
-    /// What a witness says in the end along a street, where a car went otherwise than is believed: metres along x at a time.
+    /// The final result along a street, where a car moved differently than assumed: metres along x at a
+    /// time.
     fn heard(
         way: fn(f64) -> f64,
         believed: fn(f64) -> f64,
@@ -317,12 +324,13 @@ mod tests {
         let (_, measured) = heard(|t| 4.0 * t, |t| 2.0 * t, MotionSource::Standing);
         assert_eq!(measured, None);
         let inertial = MotionSource::Inertial { velocity_sigma: 0.1 };
-        // Less than a correlation resolves, and more.
+        // Below the resolution of a correlation, and above.
         assert_eq!(heard(|t| 4.0 * t, |t| 3.9 * t, inertial).1, None);
         assert!(heard(|t| 4.0 * t, |t| 3.0 * t, inertial).1.unwrap().shift.x > 0.7);
     }
 
-    /// Walls of a corridor along x as far as the scanner sees them, and posts between them if there are any.
+    /// Walls of a corridor along x as far as the scanner sees them, with posts between them if
+    /// `has_posts`.
     fn corridor(seen_from: f32, has_posts: bool) -> Vec<Point3f> {
         let column = |x: f32, y: f32| (0..12).map(move |k| Point3f::new(x, y, 0.25 * k as f32 - 1.2));
         let walls = (-12..=12).flat_map(|i| [-1.5, 1.5].map(|y| column(0.3 * i as f32, y)));

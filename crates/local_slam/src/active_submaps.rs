@@ -1,5 +1,5 @@
-//! Submaps that are being filled (`slam2d.md` §11.1): at any time the older one is matched against
-//! and both receive scans, so that every place is in two of them.
+//! Active submaps (`slam2d.md` §11.1): scans are matched against the older one and inserted into both, so
+//! that every place is in two submaps.
 
 use std::sync::Arc;
 
@@ -14,21 +14,21 @@ pub struct ActiveSubmaps<S: LocalSlamSpace> {
     submaps: Vec<ActiveSubmap<S>>,
     next_index: u32,
     scans_per_half: u32,
-    /// A submap is half full after this way of the scanner, too, metres.
+    /// Distance travelled after which a submap of sparse scans is half full, too, metres.
     way_per_half: f64,
     last_origin: Option<Point3f>,
     refused: u64,
     without_submap: u64,
 }
 
-/// Scans that are this far apart, metres, are sparse.
+/// Mean distance between scans above which they are sparse, metres.
 const SPARSE_STEP: f64 = 0.25;
 
 /// A submap that is being filled.
 struct ActiveSubmap<S: LocalSlamSpace> {
     index: u32,
     submap: S::Submap,
-    /// Way of the scanner since its first scan, metres.
+    /// Distance travelled since its first scan, metres.
     way: f64,
 }
 
@@ -58,7 +58,7 @@ where
         }
     }
 
-    /// Submaps of sparse scans are full after this way of the scanner, too, metres; 0 counts only scans.
+    /// Submaps of sparse scans are full after this distance travelled, too, metres; 0 counts only scans.
     #[must_use]
     pub fn with_length(self, metres: f64) -> Self {
         Self { way_per_half: if metres > 0.0 { 0.5 * metres } else { f64::INFINITY }, ..self }
@@ -74,7 +74,7 @@ where
         self.submaps.first().map(|active| &active.submap)
     }
 
-    /// The submap to match against, to be changed.
+    /// The submap to match against, mutable.
     pub fn matching_submap_mut(&mut self) -> Option<&mut S::Submap> {
         self.submaps.first_mut().map(|active| &mut active.submap)
     }
@@ -84,14 +84,14 @@ where
         self.submaps.iter().map(|active| (active.index, &active.submap))
     }
 
-    /// All of them to be changed, oldest first.
+    /// All of them, mutable, oldest first.
     pub fn iter_mut(&mut self) -> impl Iterator<Item = &mut S::Submap> {
         self.submaps.iter_mut().map(|active| &mut active.submap)
     }
 
-    /// Inserts a scan; `create` makes a new submap at an origin in the local map, or
-    /// none where that is impossible. Returns the submaps
-    /// that took it, oldest first; a complete one comes with its grid and is given away.
+    /// Inserts a scan. `create` makes a new submap at an origin in the local map, or none where that is
+    /// impossible. Returns the submaps that the scan was inserted into, oldest first; a completed submap
+    /// is returned with its grid and no longer active.
     pub fn insert(
         &mut self,
         scan: &<S::Submap as GrowingSubmap>::Scan,
@@ -119,7 +119,7 @@ where
                 finished: None,
             })
             .collect();
-        // The next one has to be half full, so that it can be matched against.
+        // The next submap has to be half full before it is matched against.
         let oldest_is_full = self.submaps.len() > 1 || self.way_per_half.is_infinite();
         if oldest_is_full
             && self.submaps.first().is_some_and(|oldest| self.has_halves(oldest, 2))
@@ -132,13 +132,13 @@ where
         inserted
     }
 
-    /// Adds what was left out of submaps to `issues`.
+    /// Adds the scans that could not be inserted to `issues`.
     pub fn count_into(&self, issues: &mut IssueLog) {
         issues.count(IssueKind::GridTooLarge, self.refused);
         issues.count(IssueKind::NoSubmapPossible, self.without_submap);
     }
 
-    /// Ends the trajectory: finishes what is being filled and gives it away.
+    /// Ends the trajectory: finishes the active submaps and returns them.
     pub fn finish(&mut self) -> Vec<InsertionSubmap<S>> {
         std::mem::take(&mut self.submaps)
             .into_iter()

@@ -34,26 +34,27 @@ use portolan_sensor::{
 #[error("these options cannot be used together: {0}")]
 pub struct LocalSlamError(pub String);
 
-/// What became of a scan.
+/// Result of a scan.
 #[derive(Clone, Debug)]
 pub struct MatchingResult<S: LocalSlamSpace> {
     /// Time of its last point.
     pub time: Time,
-    /// Where it was taken, in the local map.
+    /// Pose of the tracking frame in the local map.
     pub local_from_tracking: Rigid3,
-    /// The scan itself in the local map, thinned if it is a node, without returns that hide the place.
+    /// The scan in the local map, down-sampled if it is a node, without occluding returns.
     pub range_data_in_local: RangeData,
-    /// Its points as they were measured, in range and thinned with small voxels, whatever was found of the
-    /// motion on the way (3D).
+    /// Its raw points, in range and down-sampled with small voxels, whatever motion was estimated for the
+    /// sweep (3D).
     pub measured: Vec<SweepPoint>,
     /// The node, if the scan was different enough from the last one to be inserted.
     pub inserted: Option<InsertedNode<S>>,
-    /// The pose was lost before this scan: it begins a new piece of map, whose place in the old one is not known.
+    /// Set if the pose was lost before this scan: it begins a new piece of map, whose pose relative to the
+    /// old one is unknown.
     pub lost: Option<Lost<S>>,
 }
 
 impl<S: LocalSlamSpace> MatchingResult<S> {
-    /// Of a scan that is no node.
+    /// Result of a scan that is not a node.
     fn not_inserted(time: Time, local_from_tracking: Rigid3, range_data_in_local: RangeData) -> Self {
         Self {
             time,
@@ -66,57 +67,62 @@ impl<S: LocalSlamSpace> MatchingResult<S> {
     }
 }
 
-/// How well odometry alone tells a motion: standard deviations.
+/// Standard deviations of a motion that only odometry measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OdometryBridge {
     /// Along each axis, metres.
     pub translation: f64,
     /// Radians.
     pub rotation: f64,
-    /// There were scans meanwhile, and they contradict the map: the scanner may have been carried elsewhere.
+    /// Whether there were scans meanwhile that contradict the map: the scanner may have been carried
+    /// elsewhere.
     pub is_contradicted: bool,
 }
 
-/// The end of a piece of map, after which nothing, or odometry alone, constrained the pose of the scanner.
+/// End of a piece of map, after which the pose of the scanner was unconstrained, or constrained only by
+/// odometry.
 #[derive(Clone, Debug)]
 pub struct Lost<S: LocalSlamSpace> {
-    /// Time of the first scan that did not fit any more, or of the last one before a gap.
+    /// Time of the first scan that no longer fitted, or of the last one before a gap.
     pub since: Time,
     /// The submaps that were being filled then.
     pub remaining: Vec<InsertionSubmap<S>>,
-    /// From the local map of the new piece to that of the one that ended, as if the scanner had stayed where it was last
-    /// found.
+    /// Transform from the local map of the new piece to that of the old one, as if the scanner had stayed
+    /// at its last accepted pose.
     pub ended_from_begun: Rigid3,
-    /// Odometry measured the motion from the last scan of the old piece to the first one of the new piece, which both are
-    /// drawn in one local map; none where nothing did.
+    /// Uncertainty of the motion from the last scan of the old piece to the first one of the new piece, if
+    /// odometry measured it. Both scans are then in one local map.
     pub bridge: Option<OdometryBridge>,
 }
 
 impl<S: LocalSlamSpace> Lost<S> {
-    /// Whether there were no scans meanwhile, and odometry measured the motion; else scans did not fit.
+    /// Whether there were no scans meanwhile and odometry measured the motion. Otherwise scans did not
+    /// fit.
     pub fn is_gap(&self) -> bool {
         self.bridge.is_some_and(|bridge| !bridge.is_contradicted)
     }
 }
 
-/// A scan is matched when so many points are gathered, however many messages it was to have.
+/// Maximum number of points in an accumulated scan; it is then matched, whatever number of messages the
+/// options demand.
 const MOST_GATHERED_POINTS: usize = 5_000_000;
 
 /// The local SLAM of one trajectory.
 pub trait LocalSlam<S: LocalSlamSpace>: Send {
-    /// A range measurement. Gives what became of scans whose turn has come, this one or earlier ones.
+    /// Adds a range measurement. Gives the results of the scans that are now processed, this one or
+    /// earlier ones.
     fn add_range_data(&mut self, sensor_id: &SensorId, data: TimedPointCloudData) -> Vec<MatchingResult<S>>;
 
-    /// An IMU sample.
+    /// Adds an IMU sample.
     fn add_imu_data(&mut self, data: &ImuData);
 
-    /// An odometry pose. Gives what became of scans that waited for it.
+    /// Adds an odometry pose. Gives the results of scans that waited for it.
     fn add_odometry_data(&mut self, data: &OdometryData) -> Vec<MatchingResult<S>>;
 
-    /// Matches what still waits for odometry that will not come.
+    /// Matches scans that still wait for odometry that will not come.
     fn flush(&mut self) -> Vec<MatchingResult<S>>;
 
-    /// Remembers where scans were found with this. To be called before anything is added.
+    /// Sets the memory in which matched poses are remembered. To be called before any data is added.
     fn remember_with(&mut self, memory: &Memory);
 
     /// Ends the trajectory and hands over the submaps that were being filled.
@@ -125,20 +131,20 @@ pub trait LocalSlam<S: LocalSlamSpace>: Send {
     /// Copies of the submaps that are being filled, with their indices.
     fn active_submaps(&self) -> Vec<(u32, S::Submap)>;
 
-    /// Since when scans have fitted nothing where they were looked for, if the last ones do not and where they were taken is a
-    /// guess.
+    /// Time since which scans have fitted nowhere in the search window, if the last ones do not fit and
+    /// their pose is a guess.
     fn lost_since(&self) -> Option<Time>;
 
-    /// What was dropped or repaired so far.
+    /// Data that was dropped or repaired so far.
     fn issues(&self) -> IssueLog;
 
-    /// Where scans left directions unconstrained so far, if that is watched.
+    /// Degenerate intervals so far, if local SLAM detects them.
     fn degenerate_intervals(&self) -> Vec<DegenerateInterval> {
         Vec::new()
     }
 }
 
-/// Adds what was left out or put in order while scans were gathered.
+/// Adds the counts of points that the collator dropped or reordered.
 fn count_collated(counts: RangeDataCollatorCounts, issues: &mut IssueLog) {
     issues.count(IssueKind::PointOlderThanScan, counts.earlier_points);
     issues.count(IssueKind::PointWithoutTime, counts.points_without_time);
@@ -146,12 +152,12 @@ fn count_collated(counts: RangeDataCollatorCounts, issues: &mut IssueLog) {
     issues.count(IssueKind::UnexpectedRangeSensor, counts.unexpected_messages);
 }
 
-/// Adds what the extrapolator noticed and nobody else counts.
+/// Adds the issues of the extrapolator that are not counted elsewhere.
 fn count_extrapolated(counts: &ExtrapolatorCounts, issues: &mut IssueLog) {
     issues.count(IssueKind::OdometryJumped, counts.odometry_jumps);
 }
 
-/// Notes how many times as far as scans odometry goes, if it is corrected by that.
+/// Adds the ratio of the distance by odometry to that by scans, if odometry is corrected by it.
 fn note_corrected_odometry(factor: Option<f64>, issues: &mut IssueLog) {
     if let Some(factor) = factor {
         let issue = Issue::new(IssueKind::OdometryCorrected);
@@ -159,9 +165,8 @@ fn note_corrected_odometry(factor: Option<f64>, issues: &mut IssueLog) {
     }
 }
 
-/// Gives odometry to the extrapolator. Before the first scan there is none; the newest two poses wait
-/// then, because the first scan will want to know how the robot was moving. False if the pose is too old
-/// to be used.
+/// Passes odometry to the extrapolator. Before the first scan there is none, and the two newest poses
+/// wait, since the first scan needs the velocity of the robot. False if the pose is too old to be used.
 fn take_odometry(
     data: &OdometryData,
     extrapolator: Option<&mut PoseExtrapolator>,
@@ -177,7 +182,7 @@ fn take_odometry(
     extrapolator.add_odometry(data).is_ok()
 }
 
-/// The filter that the options describe.
+/// The motion filter of these options.
 pub fn motion_filter(options: &MotionFilterOptions) -> MotionFilter {
     MotionFilter::new(options.max_time_seconds, options.max_distance_meters, options.max_angle_radians)
 }
@@ -188,7 +193,7 @@ fn first_point_time(ranges: &SynchronizedRanges) -> Time {
     ranges.time + Duration::from_seconds(relative)
 }
 
-/// A cloud thinned as the options say.
+/// The cloud, down-sampled by the adaptive voxel filter of these options.
 fn filtered(cloud: &PointCloud, options: &AdaptiveVoxelFilterOptions) -> PointCloud {
     adaptive_voxel_filter(cloud, options.max_length, options.min_num_points, options.max_range)
 }

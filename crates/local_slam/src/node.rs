@@ -10,8 +10,8 @@ use portolan_submaps::KeptScan2d;
 
 use crate::LocalSlamSpace;
 
-/// The unchanging part of a node. Files have the same fields in 2D and 3D; the dimension decides
-/// which clouds are filled.
+/// The constant part of a node. Files have the same fields in 2D and 3D; the dimension decides which
+/// clouds are filled.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NodeData {
     /// Time of the last point of the scan.
@@ -28,22 +28,22 @@ pub struct NodeData {
     pub rotational_scan_matcher_histogram: Vec<f32>,
     /// Pose of the tracking frame in the local map.
     pub local_from_tracking: Rigid3,
-    /// 2D: the whole scan, gravity aligned, to draw submaps again; none if it came from a file.
+    /// 2D: the whole scan, gravity aligned, to rasterise submaps again; none if it was loaded from a file.
     pub scan: Option<KeptScan2d>,
 }
 
 /// A submap into which local SLAM inserted a scan.
 #[derive(Clone, Debug)]
 pub struct InsertionSubmap<S: LocalSlamSpace> {
-    /// Counted from zero within the trajectory.
+    /// Index, counted from zero within the trajectory.
     pub index: u32,
     /// Pose in the local map.
     pub local_from_submap: Rigid3,
-    /// The grid, when this scan was the last one for it.
+    /// The complete submap, if this scan was the last one inserted into it.
     pub finished: Option<Arc<S::Submap>>,
 }
 
-/// Variances of what was taken where scans left the way or the heading open, gathered since the recording began.
+/// Variances of predicted motion in degenerate directions, accumulated since the start of the recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GatheredVariance {
     /// Metres².
@@ -59,16 +59,16 @@ pub struct InsertedNode<S: LocalSlamSpace> {
     pub data: Arc<NodeData>,
     /// The submaps that it was inserted into, oldest first.
     pub submaps: Vec<InsertionSubmap<S>>,
-    /// Which motion its scan constrains.
+    /// Directions of motion that its scan constrains.
     pub open: Observability,
-    /// What had gathered when it was taken (2D).
+    /// Variance accumulated until this scan (2D).
     pub gathered: GatheredVariance,
-    /// How the map without its scan agrees with the scan (2D); none where there is nothing to compare with.
+    /// Agreement of the scan with the map without it (2D); none where there is no map to compare with.
     pub agreement: Option<ScanAgreement>,
 }
 
 impl<S: LocalSlamSpace> InsertedNode<S> {
-    /// Of a scan that constrains all of its motion, and of which no more is known.
+    /// A scan that constrains all of its motion, without accumulated variance or agreement.
     pub fn new(data: Arc<NodeData>, submaps: Vec<InsertionSubmap<S>>) -> Self {
         let (open, gathered) = (Observability::default(), GatheredVariance::default());
         Self { data, submaps, open, gathered, agreement: None }

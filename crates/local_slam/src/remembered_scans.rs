@@ -1,10 +1,10 @@
-//! What is remembered of matches, so that a job that was cut off can go on.
+//! Stores the results of matching, so that an interrupted job can continue.
 
 use portolan_geometry::{Rigid3, Time};
 use portolan_recall::{Answer, Fingerprint, Memory};
 use portolan_sensor::PointCloud;
 
-/// A memory, and which scans local SLAM has seen so far.
+/// A memory, and the fingerprint of the scans processed so far.
 #[derive(Debug)]
 pub(crate) struct RememberedScans {
     memory: Memory,
@@ -18,12 +18,12 @@ impl Default for RememberedScans {
 }
 
 impl RememberedScans {
-    /// Remembers with this.
+    /// Stores results in this memory.
     pub fn new(memory: &Memory) -> Self {
         Self { memory: memory.clone(), seen: Fingerprint::of("scans") }
     }
 
-    /// Takes note of the next scan. Grids follow from the scans before.
+    /// Adds the next scan to the fingerprint. The grids follow from the scans before.
     pub fn note(&mut self, time: Time, prediction: &Rigid3, clouds: [&PointCloud; 2]) {
         if !self.memory.is_on() {
             return;
@@ -34,7 +34,7 @@ impl RememberedScans {
         }
     }
 
-    /// Where the scan is, looked for around a place, or what was found when it was done before.
+    /// The result of matching the scan around a pose: computed, or stored by an earlier run.
     pub fn answer<T: Answer>(&self, around: impl Answer, find: impl FnOnce() -> T) -> T {
         let ask = |question: &mut Fingerprint| {
             question.add_word(self.seen.value());

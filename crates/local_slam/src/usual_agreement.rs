@@ -1,35 +1,38 @@
-//! How scans of a recording agree with the map where they were taken, and what loop closures have to be like by that measure.
+//! Agreement of the scans of a recording with the map at their own poses, and limits for loop closures
+//! derived from it.
 //!
-//! Scans that are metres apart, noisy ones and those in which readings are missing draw thin walls, of which even a scan in
-//! its right place explains less. Loop closures are measured by what local SLAM reaches on the way.
+//! Sparse scans metres apart, noisy scans and scans with missing readings make thin walls, of which even a
+//! scan at its correct pose explains fewer. Loop closures are therefore measured against what local SLAM
+//! reaches in the same recording.
 
 use portolan_grids::ScanAgreement;
 
-/// At a wrong place this share of the beams is explained, and this share of what is known is contradicted …
+/// Fractions at wrong poses.
 pub const AT_WRONG_PLACES: Shares = Shares { explained: 0.25, contradiction: 0.5 };
-/// … and at a right one, in recordings that the limits were chosen for.
+/// Fractions at correct poses, in the recordings that the limits were chosen for.
 pub const AT_RIGHT_PLACES: Shares = Shares { explained: 0.8, contradiction: 1.0 / 12.0 };
-/// What was measured counts as much as what is expected after so many scans.
+/// Weight of the expected agreement, in scans: after this number of scans the measured agreement counts as
+/// much.
 const EXPECTED_SCANS: f32 = 10.0;
-/// A scan says something if the map knows this share of its beams.
+/// Fraction of its beams that the map must know for a scan to count.
 const KNOWN: f32 = 0.5;
 
-/// How a map agrees with a scan.
+/// Fractions of the beams of a scan by agreement with the map.
 #[derive(Clone, Copy, Debug)]
 pub struct Shares {
-    /// Of all beams.
+    /// Explained beams, of all beams.
     pub explained: f32,
-    /// Of the beams about which the map knows something.
+    /// Contradicting beams, of those in known cells.
     pub contradiction: f32,
 }
 
-/// What a match in a submap has to be like to be believed, besides its score. A mean probability depends on how
-/// often the cells of the submap were seen; how many beams it explains and contradicts does not.
+/// Criteria to accept a match in a submap, besides its score. A mean probability depends on how often the
+/// cells of the submap were seen; the fractions of explained and of contradicting beams do not.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MatchAcceptance {
-    /// Least fraction of beams that must end at something that the submap knows.
+    /// Minimum fraction of beams that end at a surface of the submap.
     pub min_explained: f32,
-    /// Largest fraction of beams that contradict the submap in all about which it knows something.
+    /// Maximum fraction of contradicting beams among those in known cells.
     pub max_contradiction: f32,
 }
 
@@ -40,14 +43,14 @@ impl Default for MatchAcceptance {
 }
 
 impl MatchAcceptance {
-    /// Whether to believe a match; one that cannot be judged is believed.
+    /// Whether to accept a match; one without agreement to judge it by is accepted.
     pub fn accepts(&self, agreement: Option<ScanAgreement>) -> bool {
         agreement
             .is_none_or(|a| a.explained >= self.min_explained && a.contradiction() <= self.max_contradiction)
     }
 }
 
-/// Means over the scans of a recording, each compared with the map without it.
+/// Mean fractions over the scans of a recording, each compared with the map without it.
 #[derive(Clone, Copy, Debug)]
 pub struct UsualAgreement {
     scans: f32,
@@ -61,7 +64,7 @@ impl Default for UsualAgreement {
 }
 
 impl UsualAgreement {
-    /// Takes how the map agreed with one more scan.
+    /// Adds the agreement of the map with one more scan.
     pub fn add(&mut self, agreement: &ScanAgreement) {
         if agreement.explained + agreement.contradicted() < KNOWN {
             return;
@@ -71,15 +74,17 @@ impl UsualAgreement {
         self.mean.contradiction += (agreement.contradiction() - self.mean.contradiction) / self.scans;
     }
 
-    /// Whether a scan agrees with the map less as scans of this recording do at their places than as scans do at wrong ones.
+    /// Whether the agreement of a scan is closer to that of wrong poses than to that of the scans of this
+    /// recording at their poses.
     pub fn looks_wrong(&self, agreement: &ScanAgreement) -> bool {
         let wrong = AT_WRONG_PLACES;
         agreement.explained < (wrong.explained + self.mean.explained) / 2.0
             && agreement.contradiction() > (wrong.contradiction + self.mean.contradiction) / 2.0
     }
 
-    /// Limits that lie between wrong and right places of this recording as the wanted ones do between those of the
-    /// recordings that they were chosen for; never stricter than wanted.
+    /// Limits for this recording: the wanted ones, interpolated to its fractions at wrong and correct
+    /// poses instead of those of the recordings that they were chosen for. They are never stricter than
+    /// wanted.
     pub fn acceptance(&self, wanted: MatchAcceptance) -> MatchAcceptance {
         let (wrong, right) = (AT_WRONG_PLACES, AT_RIGHT_PLACES);
         let explained = (self.mean.explained - wrong.explained) / (right.explained - wrong.explained);

@@ -1,9 +1,10 @@
-//! Where a scan lies along the direction that planes leave open: along streets and corridors.
+//! Finds the position of a scan along the direction that planes do not constrain: along streets and
+//! corridors.
 //!
-//! A registration to planes moves little along walls: what tells of the place there is small, and errors of normals hold it
-//! where it begins. So the likelihood of places along that direction is looked at as a whole, in the grids of the submaps,
-//! where all that was ever hit is kept (a histogram filter of one dimension: Thrun, Burgard and Fox, "Probabilistic
-//! Robotics", §4.1).
+//! A registration to planes moves little along walls: the information there is small, and errors of normals
+//! hold the pose where it starts. So the likelihood along that direction is evaluated over a whole interval,
+//! in the grids of the submaps, which keep all hits (a histogram filter of one dimension: Thrun, Burgard and
+//! Fox, "Probabilistic Robotics", §4.1).
 
 use nalgebra as na;
 use portolan_geometry::{Point3f, Vector3};
@@ -14,37 +15,37 @@ use crate::settings::maps::{OCCUPANCY_CELL, SOLID_ALONG_PROBABILITY};
 use crate::settings::matching::{MOST_SLIDE_POINTS, POINTS_PER_INDEPENDENT_ONE, SLIDE_STEP};
 use crate::submap_cells::SubmapCells;
 
-/// How solid the submaps say that places are.
+/// Probability of the submaps that places are solid.
 pub(crate) struct SolidField {
     cells: HybridGrid,
 }
 
-/// Eight cells around a place, and how solid they are.
+/// The eight cells around a place, and their probabilities.
 #[derive(Clone, Copy, Default)]
 struct Cube {
     first: Option<VoxelIndex>,
     probabilities: [f32; 8],
 }
 
-/// A place along a direction.
+/// Estimated position along a direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Along {
-    /// From where it was believed to be, metres.
+    /// Shift from the assumed position, metres.
     pub shift: f64,
-    /// 1/m²: none where all places are alike.
+    /// Information, 1/m²: 0 where all positions are equally likely.
     pub information: f64,
 }
 
 impl SolidField {
-    /// Of no submap.
+    /// A field without submaps.
     ///
     /// # Errors
-    /// If there is no such grid.
+    /// If the grid cannot be made.
     pub fn new() -> Result<Self, GridError> {
         Ok(Self { cells: HybridGrid::new(OCCUPANCY_CELL)? })
     }
 
-    /// Takes a submap.
+    /// Adds a submap.
     pub fn add(&mut self, submap: &SubmapCells) {
         for (place, probability) in
             submap.cells.iter().filter(|(_, probability)| *probability >= SOLID_ALONG_PROBABILITY)
@@ -57,8 +58,8 @@ impl SolidField {
         }
     }
 
-    /// How likely a place is solid, between the centres of cells. `around` are the cells around the place that was asked
-    /// before it: neighbouring places most often lie between the same ones.
+    /// Probability that a place is solid, interpolated between the centres of cells. `around` caches the
+    /// cells around the previous place: neighbouring places are mostly between the same ones.
     #[inline]
     fn at(&self, place: &Point3f, around: &mut Cube) -> f64 {
         let scaled = place.coords / self.cells.resolution();
@@ -69,14 +70,14 @@ impl SolidField {
             *around = Cube { first: Some(first), probabilities: self.cells.corner_probabilities(first) };
         }
         let [[x, u], [y, v], [z, w]] = [part.x, part.y, part.z].map(|part| [1.0 - part, part]);
-        // Along x first, then along y, as the cells around.
+        // Weights along x first, then along y, in the order of the cells.
         let low = [x * y * z, u * y * z, x * v * z, u * v * z];
         let high = [x * y * w, u * y * w, x * v * w, u * v * w];
         let corners = low.into_iter().chain(high).zip(around.probabilities);
         f64::from(corners.map(|(weight, probability)| weight * probability).sum::<f32>())
     }
 
-    /// Sums of the logarithms of how likely points are solid, moved by each shift along a direction.
+    /// Log likelihoods of points, summed for each shift along a direction.
     fn log_likelihoods(&self, points: &[&Point3f], direction: &Vector3, shifts: &[f64]) -> Vec<f64> {
         let moves: Vec<na::Vector3<f32>> = shifts.iter().map(|shift| (*shift * direction).cast()).collect();
         let mut sums = vec![0.0; shifts.len()];
@@ -89,8 +90,9 @@ impl SolidField {
         sums
     }
 
-    /// Where points (metres, in the map) lie along a direction of unit length, within `reach` metres to either side: mean
-    /// and variance of the places by their likelihood. What follows from the reach alone is no information.
+    /// Position of points (metres, in the map) along a direction of unit length, within `reach` metres to
+    /// either side: mean and variance of the positions weighted by their likelihood. The information does
+    /// not include what follows from the limited reach alone.
     pub fn along(&self, points: &[Point3f], direction: &Vector3, reach: f64) -> Along {
         let asked: Vec<&Point3f> =
             points.iter().step_by(points.len().div_ceil(MOST_SLIDE_POINTS).max(1)).collect();

@@ -14,11 +14,12 @@ pub type Matrix6 = na::Matrix6<f64>;
 /// A small change of a pose in the same order.
 pub(crate) type Vector6 = na::Vector6<f64>;
 
-/// Variance of what cannot vary in 2D: so small that it changes nothing, and not 0, so that matrices can be inverted.
+/// Variance along the fixed axes in 2D: so small that it has no effect, and not 0, so that matrices can be
+/// inverted.
 const FIXED: f64 = 1e-9;
 
-/// What no number of scans makes smaller, since walls of the map lie where the map's own error and its cells put them:
-/// standard deviations along and about each axis.
+/// Error common to all matches, which no number of scans reduces, since walls are where the map's own error
+/// and its cells put them: standard deviations along and about each axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapError {
     /// Metres.
@@ -27,7 +28,7 @@ pub struct MapError {
     pub radians: f64,
 }
 
-/// How a scanner can move.
+/// Degrees of freedom of the scanner.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Freedom {
     /// In 2D: x, y and yaw.
@@ -37,7 +38,7 @@ pub enum Freedom {
 }
 
 impl Freedom {
-    /// Variances along the axes in which it can move, nothing along others.
+    /// Variances along the free axes, 0 along the others.
     pub(crate) fn variances(self, metres_squared: f64, radians_squared: f64) -> Vector6 {
         let (m, r) = (metres_squared, radians_squared);
         match self {
@@ -46,7 +47,7 @@ impl Freedom {
         }
     }
 
-    /// A covariance in which what cannot vary is as good as known.
+    /// A covariance in which the fixed axes are practically known.
     fn restricted(self, covariance: &Matrix6) -> Matrix6 {
         if self == Self::ThreeD {
             return 0.5 * (covariance + covariance.transpose());
@@ -60,7 +61,7 @@ impl Freedom {
     }
 }
 
-/// Where a scan was taken, and how well that is known.
+/// Pose of a scan in the map with its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct PoseEstimate {
     /// `map_from_scan`.
@@ -68,12 +69,12 @@ pub(crate) struct PoseEstimate {
     covariance: Matrix6,
     freedom: Freedom,
     map_error: MapError,
-    /// Share of an independent match that has gathered since the last one.
+    /// Fraction of an independent match that has become available by motion and time since the last match.
     fresh: f64,
 }
 
 impl PoseEstimate {
-    /// A pose in a map with such errors, with standard deviations in metres and radians.
+    /// A pose with these standard deviations (metres, radians), in a map with this error.
     pub fn new(pose: Rigid3, freedom: Freedom, map_error: MapError, (metres, radians): (f64, f64)) -> Self {
         let diagonal = freedom.variances(metres * metres, radians * radians);
         let covariance = freedom.restricted(&Matrix6::from_diagonal(&diagonal));
@@ -85,14 +86,15 @@ impl PoseEstimate {
         Self::new(pose, self.freedom, self.map_error, sigmas)
     }
 
-    /// Covariance of what is told: with the errors that matches have in common.
+    /// Covariance of the reported pose: it includes the errors that all matches share.
     pub fn covariance(&self) -> Matrix6 {
         let MapError { metres, radians } = self.map_error;
         let map = self.freedom.variances(metres * metres, radians * radians);
         self.covariance + Matrix6::from_diagonal(&map)
     }
 
-    /// Standard deviations: metres along the worst direction, and radians about the worst axis.
+    /// Standard deviations: metres along the worst direction, and radians about the worst axis; without the
+    /// map error.
     pub fn sigmas(&self) -> (f64, f64) {
         let shifts = self.covariance.fixed_view::<3, 3>(0, 0).into_owned();
         let turns = self.covariance.fixed_view::<3, 3>(3, 3).into_owned();
@@ -100,7 +102,7 @@ impl PoseEstimate {
         (worst(shifts), worst(turns))
     }
 
-    /// Goes along with a motion that local SLAM found, in the frame of the scan before it.
+    /// Predicts with a motion from local SLAM, in the frame of the previous scan.
     pub fn predict(&mut self, motion: &Rigid3, seconds: f64) {
         let turned = self.pose.rotation * motion.translation.vector;
         let mut transition = Matrix6::identity();
@@ -120,7 +122,7 @@ impl PoseEstimate {
         self.fresh = (self.fresh + fresh).min(1.0);
     }
 
-    /// How far a match lies from this belief, as the square of a Mahalanobis distance.
+    /// Squared Mahalanobis distance between a match and this estimate.
     pub fn distance(&self, found: &Rigid3, information: &Matrix6) -> f64 {
         let tiny = Matrix6::identity() * 1e-6;
         let Some(of_match) = (information + tiny).try_inverse() else { return f64::INFINITY };
@@ -129,7 +131,7 @@ impl PoseEstimate {
         (offset.transpose() * weight * offset).x
     }
 
-    /// Takes a match into account; directions in which it has no information stay as they are.
+    /// Updates with a match; directions without information stay unchanged.
     pub fn update(&mut self, found: &Rigid3, information: &Matrix6) {
         let information = information * self.fresh;
         let Some(prior) = self.covariance.try_inverse() else { return };
@@ -143,7 +145,7 @@ impl PoseEstimate {
     }
 }
 
-/// From one pose to another one: along the axes of the map, and as a rotation vector about them.
+/// Difference between two poses: along the axes of the map, and as a rotation vector about them.
 pub(crate) fn offset(from: &Rigid3, to: &Rigid3) -> Vector6 {
     let shift = to.translation.vector - from.translation.vector;
     let turn: Quaternion = to.rotation * from.rotation.inverse();
@@ -172,7 +174,7 @@ mod tests {
                 belief.update(&found, &across);
             }
             let covariance = belief.covariance();
-            // 4 cm a root of a metre over 50 m, and what it began with.
+            // 4 cm a root of a metre over 50 m, and the initial standard deviation.
             assert!((covariance[(0, 0)].sqrt() - 0.35).abs() < 0.02, "{covariance}");
             assert!(covariance[(1, 1)].sqrt() < 0.05 && (belief.pose.translation.x - 50.0).abs() < 1e-6);
             assert!(covariance[(2, 2)].sqrt() < 0.05);

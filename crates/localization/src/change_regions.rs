@@ -1,4 +1,4 @@
-//! Cells that touch as regions with outlines.
+//! Joins cells that touch to regions with outlines.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,12 +7,12 @@ use std::collections::{BTreeMap, BTreeSet};
 pub(crate) struct Region {
     /// Flat indices.
     pub cells: BTreeSet<usize>,
-    /// Corners of cells (column, row) where outlines turn: the outer ring first, which turns from columns to rows; holes
-    /// turn the other way.
+    /// Corners of cells (column, row) where outlines turn. The outer ring comes first and turns from columns
+    /// to rows; holes turn the other way.
     pub rings: Vec<Vec<[i64; 2]>>,
 }
 
-/// The regions that cells form in a grid of so many columns, in the order of their first cells.
+/// The regions that cells form in a grid with this number of columns, in the order of their first cells.
 pub(crate) fn regions(cells: &BTreeSet<usize>, columns: usize) -> Vec<Region> {
     let mut left: BTreeSet<[i64; 2]> =
         cells.iter().map(|i| [(i % columns) as i64, (i / columns) as i64]).collect();
@@ -57,7 +57,7 @@ fn without_pinches(cells: BTreeSet<[i64; 2]>) -> BTreeSet<[i64; 2]> {
 
 /// Outlines of cells that are connected along edges, the outer one first.
 fn rings(cells: &BTreeSet<[i64; 2]>) -> Vec<Vec<[i64; 2]>> {
-    // Edges of cells with nothing behind them, from corner to corner around each cell; no corner has two.
+    // Boundary edges of cells, from corner to corner around each cell; no corner has two.
     let mut edges: BTreeMap<[i64; 2], [i64; 2]> = BTreeMap::new();
     for [x, y] in cells {
         let [a, b, c, d] = [[*x, *y], [x + 1, *y], [x + 1, y + 1], [*x, y + 1]];

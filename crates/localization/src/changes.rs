@@ -1,4 +1,5 @@
-//! Where a recording contradicts the map: cells in which scans of known places end or pass otherwise than the map says.
+//! Finds where a recording contradicts the map: cells in which beams of localised scans end or pass contrary
+//! to the map.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -29,7 +30,7 @@ impl ChangeKind {
     }
 }
 
-/// Counts contradictions of scans whose places are known.
+/// Counts contradictions of localised scans.
 pub trait ChangeCounter: Send {
     /// Takes a scan.
     fn add(&mut self, scan: &PlacedScan);
@@ -44,18 +45,18 @@ pub struct Change {
     pub kind: ChangeKind,
     /// Its outline in the map, metres, counter-clockwise, and then its holes, clockwise; the first point is not repeated.
     pub rings: Vec<Vec<[f64; 2]>>,
-    /// Of the cells that changed, square metres; in 3D seen from above.
+    /// Area of the cells that changed, square metres; in 3D seen from above.
     pub area: f64,
-    /// From which height to which it reaches, metres in the map; none in 2D.
+    /// Lowest and highest point, metres in the map; none in 2D.
     pub heights: Option<[f64; 2]>,
-    /// Times of the first and the last scan that say so.
+    /// Times of the first and the last contradicting scan.
     pub seen: (Time, Time),
-    /// So many scans say so of one of its cells.
+    /// Number of contradicting scans of the cell that has most.
     pub scans: u32,
 }
 
 impl Change {
-    /// That of a frame near the map, in the map.
+    /// Converts a change from a frame near the map to the map.
     pub fn in_map(mut self, frame: &NearFrame) -> Self {
         let origin = frame.origin();
         for [x, y] in self.rings.iter_mut().flatten() {
@@ -76,24 +77,25 @@ struct CellSightings {
     is_seen_from_two: bool,
 }
 
-/// Counts contradictions of scans whose places are known. Takes no more memory than the map.
+/// Counts contradictions of localised scans. Takes no more memory than the map.
 pub struct ChangeGrid {
     map: KnownCells,
-    /// Scans with a point in or beside the cell, and scans with beams through it and no point there.
+    /// Scans with a point in the cell, or beside it if it was solid, and scans with beams through it and no
+    /// point in or beside it.
     hits: Counts,
     passes: Counts,
-    /// Of cells that were contradicted.
+    /// Sightings of cells that were contradicted.
     sightings: BTreeMap<usize, CellSightings>,
 }
 
 impl ChangeGrid {
-    /// Nothing has contradicted the map.
+    /// Starts with no contradictions.
     pub(crate) fn new(map: KnownCells) -> Self {
         let cells = map.limits.num_cells();
         Self { map, hits: Counts::new(cells), passes: Counts::new(cells), sightings: BTreeMap::new() }
     }
 
-    /// All cells of these regions.
+    /// All cells of the changed regions.
     pub(crate) fn changed_cells(&self) -> ChangedCells {
         let of_kind = |kind| self.changed_regions(kind).into_iter().map(move |region| (kind, region));
         let all = of_kind(ChangeKind::Appeared).chain(of_kind(ChangeKind::Gone));
@@ -101,7 +103,7 @@ impl ChangeGrid {
         ChangedCells { limits: self.map.limits, kinds: cells.collect() }
     }
 
-    /// Regions that are large enough to be told.
+    /// Changed regions that are large enough to be reported.
     fn changed_regions(&self, kind: ChangeKind) -> Vec<Region> {
         let changed = |cell: &usize| self.changed(*cell) == Some(kind);
         let cells: BTreeSet<usize> = self.sightings.keys().copied().filter(changed).collect();
@@ -123,7 +125,7 @@ impl ChangeGrid {
         sightings.is_seen_from_two |= (scan.origin.xy() - sightings.from).norm() >= VIEWPOINTS;
     }
 
-    /// What has become of a cell.
+    /// Whether and how a cell has changed.
     fn changed(&self, cell: usize) -> Option<ChangeKind> {
         let sightings = self.sightings.get(&cell)?;
         let (hits, passes) = (self.hits.of(cell), self.passes.of(cell));
@@ -173,7 +175,7 @@ impl ChangeCounter for ChangeGrid {
             passed.iter().filter(|cell| self.map.at(**cell) == Known::Solid).copied().collect();
         let gone: Vec<usize> = gone.into_iter().filter(|cell| !around.contains(cell)).collect();
         hit.iter().for_each(|cell| self.hits.count(*cell));
-        // A point beside a cell that was solid is of what was there.
+        // A point beside a cell that was solid counts as a hit of this cell.
         for cell in around.iter().filter(|cell| !hit.contains(cell)) {
             if self.map.at(*cell) == Known::Solid {
                 self.hits.count(*cell);
@@ -212,7 +214,7 @@ impl ChangedCells {
         self.kinds.is_empty()
     }
 
-    /// The cells within so many metres along each axis of those that changed so.
+    /// The cells within this distance, metres along each axis, of changed cells of the given kinds.
     pub(crate) fn around(&self, metres: f64, is_kind: impl Fn(ChangeKind) -> bool) -> CellSet {
         let reach = (metres / self.limits.resolution()).round() as i32;
         let columns = (self.limits.num_x_cells() as usize).max(1);
@@ -229,7 +231,7 @@ impl ChangedCells {
         CellSet { limits: self.limits, is_in }
     }
 
-    /// Square metres that changed so.
+    /// Area of the changes of a kind, square metres.
     pub(crate) fn area(&self, kind: ChangeKind) -> f64 {
         let edge = self.limits.resolution();
         self.kinds.values().filter(|of_cell| **of_cell == kind).count() as f64 * edge * edge

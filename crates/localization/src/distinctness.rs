@@ -1,4 +1,5 @@
-//! How well the places of a map can be told apart: the scans of its nodes, searched in all of it as localisation would.
+//! Examines how well the places of a map can be told apart: searches the scans of its nodes in the whole map
+//! as localisation would.
 
 use std::ops::ControlFlow;
 
@@ -18,19 +19,19 @@ use crate::settings::scans::KEPT_SCANS;
 use crate::settings::search::{ELSEWHERE, EXAMINED_SPACING, MOST_EXAMINED};
 use crate::state::Reason;
 
-/// Places that are examined at once; how many does not depend on the threads.
+/// Number of places that are examined at once; it does not depend on the number of threads.
 const BATCH: usize = 8;
 
-/// How well a place can be told from the others of its map.
+/// How well a place can be distinguished from the others of its map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Distinctness {
-    /// Localisation would believe it, and know it in all directions.
+    /// Localisation would accept the place, and it is constrained in all directions.
     Distinct,
-    /// It would be believed, but the scan leaves a direction open.
+    /// The place would be accepted, but the scan has a degenerate direction.
     Degenerate,
-    /// Somewhere else fits nearly as well, or better.
+    /// Another place fits nearly as well, or better.
     Ambiguous,
-    /// Not even at its true place the map explains enough of what was seen.
+    /// The map explains too little of the scans even at their true place.
     Thin,
 }
 
@@ -61,31 +62,32 @@ pub struct OtherPlace {
 /// A place of a map that was examined.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExaminedPlace {
-    /// The node whose scan was looked for.
+    /// The node whose scan was searched in the map.
     pub node_id: NodeId,
-    /// Where it was taken: pose of the tracking frame in the map.
+    /// Pose of the tracking frame in the map when the scan was taken.
     pub map_from_tracking: Rigid3,
-    /// Metres of the way that it stands for.
+    /// Length of the path segment that the place stands for, metres.
     pub way: f64,
-    /// What came of it.
+    /// Result of the examination.
     pub distinctness: Distinctness,
-    /// Mean fraction of beams that the map explains less the fraction that it contradicts, of the scans on the way there.
+    /// Mean fraction of beams that the map explains less the fraction that it contradicts, of the scans on
+    /// the path to the place.
     pub fit: f64,
     /// Fraction of the beams of the node's scan that the map explains.
     pub explained: f64,
-    /// The best place elsewhere, if anything fits there.
+    /// The best other place, if any fits.
     pub other: Option<OtherPlace>,
-    /// The direction in the map in which the scan may be shifted without anybody noticing; of length 0 if it may only be
-    /// turned.
+    /// The degenerate direction in the map, along which the scan can be shifted without changing its fit; of
+    /// length 0 if only a rotation is degenerate.
     pub open_direction: Option<Vector3>,
 }
 
-/// A node that is to be examined, and the way since the last one.
+/// A node that is to be examined, and the distance travelled since the last one.
 struct Stop<'a> {
     id: NodeId,
     node: &'a Node,
     way: f64,
-    /// Nodes on the way there, the newest first, as far as scans are kept.
+    /// Nodes on the path before it, the newest first, as many as scans are kept.
     before: Vec<&'a Node>,
 }
 
@@ -96,7 +98,8 @@ pub struct PlaceExaminer<'a, M: KnownMap> {
 }
 
 impl<'a, M: KnownMap> PlaceExaminer<'a, M> {
-    /// Of a map and the pose graph that it was made of; `threads` as in [`LocalizerSettings`](crate::LocalizerSettings).
+    /// For a map and the pose graph that it was made of; `threads` as in
+    /// [`LocalizerSettings`](crate::LocalizerSettings).
     ///
     /// # Errors
     /// If threads cannot be started.
@@ -109,8 +112,8 @@ impl<'a, M: KnownMap> PlaceExaminer<'a, M> {
         Ok(Self { searcher: Searcher { map, pool }, stops: stops::<M>(state) })
     }
 
-    /// Examines places along all trajectories. `observe` is told how many of how many are done, and may stop it. The same
-    /// for any number of threads.
+    /// Examines places along all trajectories. `observe` receives the numbers of finished and of all places,
+    /// and may stop it. The result is the same for any number of threads.
     pub fn examine(&self, observe: &mut dyn FnMut(usize, usize) -> ControlFlow<()>) -> Vec<ExaminedPlace> {
         let mut places = Vec::new();
         for batch in self.stops.chunks(BATCH) {
@@ -124,7 +127,7 @@ impl<'a, M: KnownMap> PlaceExaminer<'a, M> {
         places
     }
 
-    /// Looks in the whole map for what was seen on the way to a node, as localisation would.
+    /// Searches the whole map for the scans on the path to a node, as localisation would.
     fn place(&self, stop: &Stop) -> ExaminedPlace {
         let map = &self.searcher.map;
         let map_from_tracking = stop.node.map_from_tracking;
@@ -156,7 +159,7 @@ impl<'a, M: KnownMap> PlaceExaminer<'a, M> {
         ExaminedPlace { node_id, map_from_tracking, way, distinctness, fit, explained, other, open_direction }
     }
 
-    /// The scan of a node where the map says that it was taken.
+    /// The scan of a node at its pose in the map.
     fn scan_of(&self, node: &Node) -> KeyScan<M::Scan> {
         let map_from_scan = M::local_from_scan(&node.map_from_tracking);
         let scan_from_tracking = to_f32(&(map_from_scan.inverse() * node.map_from_tracking));
@@ -169,7 +172,7 @@ impl<'a, M: KnownMap> PlaceExaminer<'a, M> {
     }
 }
 
-/// Whether the true place would be believed among the others.
+/// Whether the true place would be accepted among the others.
 fn judge<M: KnownMap>(
     own: Hypothesis,
     others: Vec<Hypothesis>,
@@ -192,7 +195,7 @@ fn is_elsewhere(pose: &Rigid3, truth: &Rigid3) -> bool {
     off.translation.vector.norm() > ELSEWHERE.metres || rotation_angle(&off) > ELSEWHERE.radians
 }
 
-/// Nodes along all trajectories, evenly.
+/// Nodes at even distances along all trajectories.
 fn stops<M: KnownMap>(state: &GraphState<M::Space>) -> Vec<Stop<'_>> {
     let trajectories: Vec<Vec<(NodeId, &Node)>> =
         state.trajectories.keys().map(|id| of_trajectory(&state.nodes, *id).collect()).collect();
@@ -219,7 +222,7 @@ fn stops<M: KnownMap>(state: &GraphState<M::Space>) -> Vec<Stop<'_>> {
     stops
 }
 
-/// The nodes on the way to a node that localisation would keep, the newest first.
+/// The nodes on the path to a node whose scans localisation would keep, the newest first.
 fn way_there<'a, M: KnownMap>(nodes: &[(NodeId, &'a Node)], node: &Node) -> Vec<&'a Node> {
     let mut after = M::local_from_scan(&node.map_from_tracking);
     let mut kept: Vec<&Node> = Vec::new();

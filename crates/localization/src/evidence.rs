@@ -1,4 +1,5 @@
-//! Whether scans go on saying that the place is right: what they say, with hysteresis and bounds of time.
+//! Tracks whether scans continue to support the place: combines their verdicts, with hysteresis and time
+//! limits.
 
 use portolan_geometry::Time;
 use portolan_grids::ScanAgreement;
@@ -9,7 +10,7 @@ use crate::settings::evidence::{
     SURE_SUPPORT, UNSURE_SUPPORT,
 };
 
-/// What a scan says of a place.
+/// Verdict of a scan about a place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Verdict {
     Supports,
@@ -32,12 +33,12 @@ impl Verdict {
     }
 }
 
-/// How much recent scans support the place, 0 to 1.
+/// Support for the place from recent scans, 0 to 1.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Support {
     level: f64,
     is_sure: bool,
-    /// Scans in a row that spoke against the place, and the time of the first.
+    /// Number of contradicting scans since the last supporting one, and the time of the first.
     against: Option<(u32, Time)>,
     last: Option<Time>,
 }
@@ -66,7 +67,7 @@ impl Support {
         self.judge();
     }
 
-    /// Takes away what makes it sure.
+    /// Lowers support so far that the place is no longer certain.
     pub fn doubt(&mut self) {
         self.level = self.level.min(DOUBTED_SUPPORT);
         self.judge();
@@ -80,7 +81,7 @@ impl Support {
         self.is_sure
     }
 
-    /// Since when scans contradict the place, if they have done so for long enough.
+    /// Time since which scans contradict the place, if they have done so long enough to lose it.
     pub fn contradicted_since(&self) -> Option<Time> {
         self.against.filter(|(count, _)| self.level <= 0.0 && *count >= SCANS_TO_LOSE).map(|(_, since)| since)
     }

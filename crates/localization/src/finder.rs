@@ -1,4 +1,5 @@
-//! From scans in the local map to places in the known one: searching, tracking, getting lost and being found.
+//! Localises scans: finds poses in the known map for scans in the local map, by searching and tracking, and
+//! detects when the place is lost.
 
 use portolan_geometry::{Point3f, Rigid3, Time, to_f32};
 use portolan_mapping::{MatchingResult, Space};
@@ -25,22 +26,22 @@ use crate::settings::tracking::{
 };
 use crate::state::{Estimate, Place, Reason, State};
 
-/// A scan as local SLAM found it.
+/// A scan from local SLAM.
 pub struct LocalScan<'a> {
     /// When it was taken.
     pub time: Time,
-    /// Where local SLAM put it.
+    /// Pose from local SLAM.
     pub local_from_tracking: Rigid3,
-    /// In the local map; none if something hid the place.
+    /// Returns in the local map; empty if something hides the surroundings.
     pub returns: &'a PointCloud,
-    /// Where its beams begin, in the local map.
+    /// Origin of its beams, in the local map.
     pub origin: Point3f,
-    /// Whether local SLAM lost its way before it.
+    /// Whether local SLAM lost track before it.
     pub begins_anew: bool,
 }
 
 impl<'a> LocalScan<'a> {
-    /// What local SLAM made of it.
+    /// From a result of local SLAM.
     pub fn of<S: Space>(scan: &'a MatchingResult<S>) -> Self {
         Self {
             time: scan.time,
@@ -52,17 +53,17 @@ impl<'a> LocalScan<'a> {
     }
 }
 
-/// What is being done.
+/// What the finder does at present.
 enum Mode {
     Searching {
         places: Places,
-        /// Why it is lost, if it was localised before.
+        /// Reason of the loss, if it was localised before.
         lost: Option<Reason>,
     },
     Tracking(Box<Track>),
 }
 
-/// A place that is believed.
+/// A place that is accepted and tracked.
 struct Track {
     place: Hypothesis,
     rivals: Rivals,
@@ -73,7 +74,7 @@ struct Track {
     doubt: Reason,
 }
 
-/// A scan on its way through.
+/// The scan that is being processed.
 struct Current<S> {
     time: Time,
     local_from_scan: Rigid3,
@@ -83,7 +84,7 @@ struct Current<S> {
     offered: Offered,
 }
 
-/// Finds places in a map.
+/// Localises scans in a map.
 pub(crate) struct Finder<M: KnownMap> {
     searcher: Searcher<M>,
     recent: RecentScans<M::Scan>,
@@ -92,14 +93,14 @@ pub(crate) struct Finder<M: KnownMap> {
     pace: Pace,
     start: Option<(Rigid3, (f64, f64))>,
     told: Option<GivenStart>,
-    /// One that scans have not reached yet.
+    /// A satellite fix that is newer than all scans so far.
     fix: Option<PositionFix>,
-    /// None where nobody wants to know what has changed.
+    /// None where changes are not counted.
     changes: Option<Box<dyn ChangeCounter>>,
 }
 
 impl<M: KnownMap> Finder<M> {
-    /// With the start that somebody told, and its standard deviations in metres and radians.
+    /// With the start given by the user, and its standard deviations in metres and radians.
     pub fn new(searcher: Searcher<M>, start: Option<(Rigid3, (f64, f64))>) -> Self {
         let mode = Mode::Searching { places: Places::default(), lost: None };
         Self {
@@ -115,14 +116,14 @@ impl<M: KnownMap> Finder<M> {
         }
     }
 
-    /// Where scans contradict the map is counted from now on.
+    /// Counts contradictions between scans and map from now on.
     pub fn counting_changes(self) -> Self {
         Self { changes: Some(self.searcher.map.change_counter()), ..self }
     }
 
-    /// Takes a satellite fix: while no place is known it is where the scanner may be.
+    /// Takes a satellite fix: while no place is known, the map is searched around it.
     pub fn add_fix(&mut self, fix: PositionFix) {
-        // The newest one of all may always be ahead of the scans.
+        // Keeps the first fix that waits: the newest of all fixes may always be ahead of the scans.
         if self.fix.is_none() && matches!(self.mode, Mode::Searching { .. }) {
             self.fix = Some(fix);
         }
@@ -158,18 +159,18 @@ impl<M: KnownMap> Finder<M> {
         Estimate { time: scan.time, state, reason, local_from_tracking: scan.local_from_tracking, place }
     }
 
-    /// Where scans contradicted the map, if that is counted.
+    /// Regions where scans contradicted the map, if they are counted.
     pub fn changes(&self) -> Vec<Change> {
         self.changes.as_ref().map_or_else(Vec::new, |counter| counter.changes())
     }
 
-    /// Where the recording was told to be, by a start or a satellite fix, when it was last looked for: the pose in the map, and
-    /// standard deviations in metres and radians.
+    /// The start or satellite fix that was searched around last: the pose in the map, and standard
+    /// deviations in metres and radians.
     pub fn told(&self) -> Option<(Rigid3, (f64, f64))> {
         self.told.map(|told| (told.map_from_scan, told.sigmas))
     }
 
-    /// Takes the fix that waits for a scan of its time.
+    /// Uses the waiting fix once a scan has reached its time.
     fn reach_fix(&mut self, now: &TimedPose) {
         let Some(fix) = self.fix.filter(|fix| fix.time <= now.time) else { return };
         self.fix = None;
@@ -179,12 +180,12 @@ impl<M: KnownMap> Finder<M> {
         }
     }
 
-    /// What the map is searched with.
+    /// The map and the threads that search it.
     pub fn searcher(&self) -> &Searcher<M> {
         &self.searcher
     }
 
-    /// Compares a scan whose place is known with the map.
+    /// Compares a localised scan with the map.
     fn count_changes(&mut self, scan: &LocalScan, current: &Current<M::Scan>) {
         let (Mode::Tracking(track), Some(changes)) = (&self.mode, &mut self.changes) else { return };
         let belief = &track.place.belief;
@@ -201,14 +202,14 @@ impl<M: KnownMap> Finder<M> {
         });
     }
 
-    /// Whether the start that was told is where the place that is known says; none as long as none is known.
+    /// Whether the given start agrees with the known place; none while no place is known.
     pub fn start_agrees(&self) -> Option<bool> {
         let (told, last) = (self.told.as_ref()?, self.last.as_ref()?);
         let Mode::Tracking(track) = &self.mode else { return None };
         Some(told.agreement(&track.place, &last.local_from_scan) > START_AGREEMENT)
     }
 
-    /// Local SLAM lost its way: nothing that was seen before can be put together with what comes.
+    /// Starts anew after local SLAM lost track: earlier scans cannot be related to later ones.
     fn begin_anew(&mut self) {
         self.recent.clear();
         self.last = None;
@@ -278,7 +279,7 @@ impl<M: KnownMap> Finder<M> {
         }
     }
 
-    /// Which place is believed, after the map was searched or between searches.
+    /// Decides on a place, right after a search or between searches.
     fn decide(&self, places: &mut Places, current: &Current<M::Scan>, was_searched: bool) -> Decision {
         let told = |place: &Hypothesis| {
             self.told.as_ref().map_or(0.0, |told| told.agreement(place, &current.local_from_scan))
@@ -290,7 +291,7 @@ impl<M: KnownMap> Finder<M> {
         places.decide(&judge, was_searched)
     }
 
-    /// Places where the recent scans fit, moved along to the current scan.
+    /// Proposes places where the recent scans fit, predicted to the current scan.
     fn propose(&self, current: &Current<M::Scan>, known: &[Hypothesis]) -> Vec<Hypothesis> {
         let Some(newest) = self.recent.iter().next_back() else { return Vec::new() };
         let motion = newest.local_from_scan.inverse() * current.local_from_scan;
@@ -303,7 +304,7 @@ impl<M: KnownMap> Finder<M> {
         found
     }
 
-    /// Places where the recent scans fit around where the recording was told to be.
+    /// Proposes places where the recent scans fit around the given start or satellite fix.
     fn propose_given_start(
         &self,
         told: &GivenStart,
@@ -393,7 +394,7 @@ impl<M: KnownMap> Finder<M> {
     }
 }
 
-/// After a scan that sees nothing of the place: local SLAM alone tells how it moved.
+/// Predicts after a scan without returns: only local SLAM measures the motion.
 fn carried<S>(mode: Mode, current: &Current<S>) -> (Mode, State, Reason) {
     let reason = Reason::PlaceHidden;
     match mode {
@@ -424,7 +425,7 @@ fn lost(reason: Reason) -> (Mode, State, Reason) {
     (Mode::Searching { places: Places::default(), lost: Some(reason) }, State::Lost, reason)
 }
 
-/// Another place is better than the one that was believed: both are looked at once more.
+/// Gives up the accepted place because another one fits better: both become candidates again.
 fn outdone(believed: &Hypothesis, better: Vec<Hypothesis>, time: Time) -> (Mode, State, Reason) {
     let mut places = Places::default();
     places.merge(better, time);
@@ -443,7 +444,7 @@ impl Track {
         }
     }
 
-    /// Compares the place with others that a search proposed; whether it is given up.
+    /// Compares the place with others that a search proposed; returns whether it is given up.
     fn is_beaten(&mut self, rivals: &[Hypothesis], time: Time) -> bool {
         (self.last_check, self.way_since_check) = (time, 0.0);
         let own = self.place.fit();

@@ -1,4 +1,4 @@
-//! A map that grows by a recording that was localised in it.
+//! Adds a recording to the map in which it was localised.
 
 use portolan_geometry::Time;
 use portolan_mapping::{Extension, LocalTrack, Placement, PoseGraph, TrackedNode, TrajectoryId};
@@ -9,37 +9,37 @@ use crate::state::{Estimate, State};
 use crate::trust::trusted_spans;
 use crate::voxel_changes::KeptSweep;
 
-/// What becomes of a map that a recording was localised in.
+/// How a recording changes the map in which it was localised.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Growth {
-    /// All that was localised is added; the rest stays as it is.
+    /// All localised scans are added; the rest of the map stays unchanged.
     Extend,
-    /// What shows a change, or something new, is added; what it replaces is removed.
+    /// Submaps that show a change, or something new, are added; submaps that they replace are removed.
     Renew,
 }
 
-/// What became of a map.
+/// Result of adding a recording to a map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grown {
-    /// The trajectory that was added; where a map was renewed and nothing had changed, it is gone again.
+    /// The trajectory that was added. If a map was renewed and nothing had changed, it is removed again.
     pub trajectory_id: TrajectoryId,
-    /// Nodes that were localised surely enough.
+    /// Number of nodes whose localisation is trusted.
     pub trusted_nodes: usize,
-    /// All of them.
+    /// Number of all nodes.
     pub nodes: usize,
-    /// What was added at first.
+    /// What was added before the renewal.
     pub extension: Extension,
     /// What of it stayed and what it replaced, if the map was renewed.
     pub renewal: Option<Renewal>,
 }
 
-/// Why a map does not grow.
+/// Why nothing is added to a map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum GrowthError {
     /// No scan was localised.
     #[error("it was never localised in the map")]
     NeverLocalised,
-    /// Not long enough, or never without doubts.
+    /// It was not localised far enough, or its localisation was always called into question soon after.
     #[error(
         "it was localised, but nowhere on 5 m of way or more without a doubt soon after, so that nothing of it is \
          believed; record a longer way through what the map knows"

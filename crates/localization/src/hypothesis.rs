@@ -1,4 +1,4 @@
-//! Places where the scanner may be, and which of them what was seen speaks for.
+//! Hypotheses about the pose in the map, and how well recent scans fit each.
 
 use std::collections::VecDeque;
 
@@ -12,24 +12,24 @@ use crate::settings::matching::{GATE_SQUARED_SIGMAS, NARROWEST_WINDOW, WIDEST_WI
 use crate::settings::scans::KEPT_SCANS;
 use crate::settings::search::{PROPOSED_SIGMAS, SAME_PLACE};
 
-/// How well what was seen fits a place: shares of beams explained less contradicted, the mean of recent scans.
+/// Fit of a place: fraction of beams explained minus fraction contradicted.
 pub(crate) fn fit(agreement: &ScanAgreement) -> f64 {
     f64::from(agreement.explained - agreement.contradicted())
 }
 
-/// A place where the scanner may be.
+/// A hypothesis about the pose of the scanner.
 #[derive(Clone, Debug)]
 pub(crate) struct Hypothesis {
     pub belief: PoseEstimate,
-    /// What the map says to the newest scan that was matched.
+    /// Agreement of the map with the newest scan that was matched.
     pub agreement: ScanAgreement,
-    /// What it says to the recent scans, and where they were found, oldest first.
+    /// Agreement of the map with the recent scans, and the poses where they were found, oldest first.
     fits: VecDeque<(ScanAgreement, Rigid3)>,
 }
 
 impl Hypothesis {
-    /// The place where the newest of the recent scans lies at `map_from_scan`: finds the others from there back along
-    /// the way.
+    /// The place at which the newest of the recent scans has the pose `map_from_scan`; finds the earlier
+    /// scans from there back along the path.
     pub fn along<M: KnownMap>(
         map: &M,
         recent: &RecentScans<M::Scan>,
@@ -51,7 +51,7 @@ impl Hypothesis {
         Some(Self { belief, agreement: found.agreement, fits })
     }
 
-    /// Remembers what the map says to a scan that is kept.
+    /// Stores the agreement and pose of a scan that is kept.
     pub fn remember(&mut self, oldest_left: bool) {
         self.fits.push_back((self.agreement, self.belief.pose));
         if oldest_left {
@@ -59,18 +59,18 @@ impl Hypothesis {
         }
     }
 
-    /// How well the recent scans fit.
+    /// Mean fit of the recent scans.
     pub fn fit(&self) -> f64 {
         self.fits.iter().map(|(seen, _)| fit(seen)).sum::<f64>() / self.fits.len().max(1) as f64
     }
 
-    /// By how much it fits better than another place: over the recent scans, and over the newest half and quarter of them,
-    /// whichever is least. A place into which the scanner has just come does not fit what was seen before.
+    /// Lead in fit over another place: the least of the means over the recent scans and over the newest half
+    /// and quarter of them. A place that the scanner has just entered does not fit the scans before.
     pub fn lead(&self, other: &Self) -> f64 {
         self.lead_of_newest(other, usize::MAX)
     }
 
-    /// The same, of the newest so many scans.
+    /// The same lead, over the newest `scans` scans only.
     pub fn lead_of_newest(&self, other: &Self, scans: usize) -> f64 {
         let differences = self.fits.iter().rev().zip(other.fits.iter().rev()).take(scans);
         let differences: Vec<f64> = differences.map(|(own, other)| fit(&own.0) - fit(&other.0)).collect();
@@ -81,18 +81,18 @@ impl Hypothesis {
         [KEPT_SCANS / 4, KEPT_SCANS / 2, KEPT_SCANS].into_iter().map(mean).fold(f64::INFINITY, f64::min)
     }
 
-    /// Where the recent scans were found, the newest first.
+    /// Poses where the recent scans were found, the newest first.
     pub fn found(&self) -> impl Iterator<Item = &Rigid3> {
         self.fits.iter().rev().map(|(_, pose)| pose)
     }
 
-    /// How well the newest so many scans fit.
+    /// Mean fit of the newest `scans` scans.
     pub fn fit_of_newest(&self, scans: usize) -> f64 {
         let scans = scans.min(self.fits.len());
         self.fits.iter().rev().take(scans).map(|(seen, _)| fit(seen)).sum::<f64>() / scans.max(1) as f64
     }
 
-    /// How well scans fit over the recent ones, the newest half and the newest quarter of them, whichever is least.
+    /// The least of the mean fits of the recent scans, of the newest half and of the newest quarter of them.
     pub fn fit_lately(&self) -> f64 {
         [KEPT_SCANS / 4, KEPT_SCANS / 2, KEPT_SCANS]
             .map(|scans| self.fit_of_newest(scans))
@@ -100,22 +100,23 @@ impl Hypothesis {
             .fold(f64::INFINITY, f64::min)
     }
 
-    /// Goes along with local SLAM, without looking.
+    /// Moves along with local SLAM, without matching.
     pub fn predict(&mut self, motion: &Rigid3, seconds: f64) {
         self.belief.predict(motion, seconds);
     }
 
-    /// Finds a scan near the prediction.
+    /// Matches a scan near the prediction and updates the pose.
     pub fn look<M: KnownMap>(&mut self, map: &M, scan: &M::Scan) {
         let found = map.find(scan, &self.belief.pose, self.window());
         if self.belief.distance(&found.pose, &found.information) < GATE_SQUARED_SIGMAS {
             self.belief.update(&found.pose, &found.information);
         }
-        // What decides is the pose that is told, not the one that fits best.
+        // The estimated pose is judged, not the match that fits best.
         self.agreement = map.agreement(scan, &self.belief.pose);
     }
 
-    /// Is where the newest scan was found, far from the prediction, with these standard deviations (metres, radians).
+    /// Moves the estimate to a match of the newest scan far from the prediction, with these standard
+    /// deviations (metres, radians).
     pub fn slip(&mut self, found: &ScanMatch, sigmas: (f64, f64)) {
         self.belief = self.belief.elsewhere(found.pose, sigmas);
         self.agreement = found.agreement;
@@ -142,7 +143,7 @@ impl Hypothesis {
     }
 }
 
-/// A place along x that scans fit so well, the oldest first.
+/// A place along x with these fits of scans, the oldest first.
 #[cfg(test)]
 pub(crate) fn test_place(x: f64, fits: &[f32]) -> Hypothesis {
     let agreement = |fit: &f32| ScanAgreement { explained: *fit, ..ScanAgreement::default() };

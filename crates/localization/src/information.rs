@@ -1,18 +1,20 @@
-//! What the points of a scan tell of its pose.
+//! Computes the information about the pose of a scan from its points at surfaces.
 
 use portolan_geometry::Vector3;
 
 use crate::belief::{Freedom, Matrix6, Vector6};
 use crate::settings::matching::{NORMAL_VARIANCE, POINT_SIGMA, SPURIOUS_FRACTION};
 
-/// A point at a surface: where it is from the scanner, in the axes of the map, and the normal of the surface there.
+/// A point at a surface: its position from the scanner, in the axes of the map, and the normal of the
+/// surface there.
 #[derive(Clone, Copy)]
 pub(crate) struct Contact {
     pub lever: Vector3,
     pub normal: Vector3,
 }
 
-/// Point-to-surface constraints along normals (Censi 2007, "On achievable accuracy for range-finder localization").
+/// Information of point-to-surface constraints along normals (Censi 2007, "On achievable accuracy for
+/// range-finder localization").
 pub(crate) fn information(contacts: impl Iterator<Item = Contact>, freedom: Freedom) -> Matrix6 {
     let (mut sum, mut along_surfaces) = (Matrix6::zeros(), Matrix6::zeros());
     for Contact { lever, normal } in contacts {
@@ -30,32 +32,33 @@ pub(crate) fn information(contacts: impl Iterator<Item = Contact>, freedom: Free
     kept / (POINT_SIGMA * POINT_SIGMA)
 }
 
-/// How a distance along a direction changes with the pose of the scanner, whom the point is away from by a lever, and what it
-/// tells of the pose.
+/// Derivative by the pose of a distance along a direction, for a point at a lever from the scanner, and its
+/// outer product: the information of that distance.
 pub(crate) fn outer(lever: &Vector3, direction: &Vector3) -> (Vector6, Matrix6) {
     let turn = lever.cross(direction);
     let row = Vector6::new(direction.x, direction.y, direction.z, turn.x, turn.y, turn.z);
     (row, row * row.transpose())
 }
 
-/// What distances along both directions of a surface would tell, where the distance along its normal tells this.
+/// Information that distances along both directions of a surface would have, if the distance along its
+/// normal has the given one.
 pub(crate) fn along_surface(lever: &Vector3, along_normal: &Matrix6) -> Matrix6 {
     let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
     axes.map(|axis| outer(lever, &axis).1).iter().sum::<Matrix6>() - along_normal
 }
 
-/// In 3D: the part of it that tells something.
+/// In 3D: the positive part of the information.
 pub(crate) fn positive(information: &Matrix6) -> Matrix6 {
     reduced(information, lever_scale(information, Freedom::ThreeD), 0.0)
 }
 
-/// Takes off what errors of normals add in every direction.
+/// Subtracts the spurious information that errors of normals add in every direction.
 fn without_spurious(information: &Matrix6, freedom: Freedom) -> Matrix6 {
     reduced(information, lever_scale(information, freedom), SPURIOUS_FRACTION)
 }
 
-/// With turns compared with shifts by a lever, metres: the part of it that is left when this fraction of the most is taken
-/// off in every direction.
+/// Subtracts this fraction of the largest eigenvalue in every direction and keeps the positive part.
+/// Rotations are compared with translations by a lever, metres.
 fn reduced(information: &Matrix6, lever: f64, fraction: f64) -> Matrix6 {
     let scale = Vector6::new(1.0, 1.0, 1.0, lever, lever, lever);
     let scaled = information.component_mul(&(scale * scale.transpose()).map(|v: f64| 1.0 / v));
@@ -66,7 +69,8 @@ fn reduced(information: &Matrix6, lever: f64, fraction: f64) -> Matrix6 {
     reduced.component_mul(&(scale * scale.transpose()))
 }
 
-/// How far, metres, the points lie that a turn moves, so that turns can be compared with shifts.
+/// Typical distance of the points that constrain rotation, metres, so that rotations can be compared with
+/// translations.
 fn lever_scale(information: &Matrix6, freedom: Freedom) -> f64 {
     let (axes, turning) = match freedom {
         Freedom::TwoD => (2.0, 1.0),
@@ -77,11 +81,11 @@ fn lever_scale(information: &Matrix6, freedom: Freedom) -> f64 {
     if shifts > 0.0 { (turns / shifts).sqrt().max(0.1) } else { 1.0 }
 }
 
-/// Information in a direction below this fraction of the most is rounding.
+/// Fraction of the largest information below which the information in a direction is rounding.
 const NOTHING: f64 = 1e-9;
 
-/// The direction that a match leaves open, as a unit vector in the map, or of length 0 if that is a turn alone; none if
-/// all are held.
+/// The degenerate direction of a match, as a unit vector in the map, or of length 0 if that is a rotation
+/// alone; none if all directions are constrained.
 pub(crate) fn open_direction(information: &Matrix6, freedom: Freedom) -> Option<Vector3> {
     let lever = lever_scale(information, freedom);
     let scale = Vector6::new(1.0, 1.0, 1.0, lever, lever, lever);
@@ -123,7 +127,7 @@ mod tests {
         });
         let of_ground = information(ground.clone(), Freedom::ThreeD);
         assert!(of_ground[(0, 0)] < 1e-4 * of_ground[(2, 2)] && of_ground[(5, 5)] < 1.0, "{of_ground}");
-        // 180 points face each axis, of which errors of 1681 + 180 normals may feign 0.03 each.
+        // 180 points face each axis; errors of 1681 + 180 normals may add a spurious 0.03 each.
         let both = information(ground.chain(trunks), Freedom::ThreeD) * (POINT_SIGMA * POINT_SIGMA);
         assert!((both[(0, 0)] - (180.0 - 0.03 * 1861.0)).abs() < 3.0, "{both}");
     }

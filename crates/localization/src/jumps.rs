@@ -1,8 +1,9 @@
-//! What a driver of a robot reads: poses in the map that do not jump where they must not.
+//! Filters corrections for the driver of a robot, so that its pose in the map does not jump where it must
+//! not.
 //!
-//! Whoever drives follows poses in the local map, which are continuous, and needs the transform from there to the known
-//! map for goals and paths (REP 105 of ROS splits frames the same way). That transform changes whenever a scan corrects the
-//! place, and by metres when the place is found again.
+//! A driver follows poses in the local map, which are continuous, and needs the transform from there to the
+//! known map for goals and paths (REP 105 of ROS splits frames the same way). That transform changes
+//! whenever a scan corrects the pose, and by metres when the place is found again.
 
 use portolan_geometry::{
     Rigid3, Time, angle_axis_from_quaternion, quaternion_from_angle_axis, rotation_angle,
@@ -14,15 +15,16 @@ use crate::settings::jumps::{
 };
 use crate::state::{Estimate, Reason, State};
 
-/// What to do with corrections.
+/// How corrections are applied.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Jumps {
-    /// Take them in little by little while the robot moves, however far they are.
+    /// Apply them gradually while the robot moves, however large they are.
     Smooth,
-    /// Take them in at once.
+    /// Apply them at once.
     #[default]
     Immediate,
-    /// Small ones little by little; jumps to another place at once, but only when that place has been confirmed.
+    /// Apply small ones gradually; jump to another place at once, but only after that place has been
+    /// confirmed.
     Hold,
 }
 
@@ -40,26 +42,26 @@ impl Jumps {
     }
 }
 
-/// Turns estimates into what a driver reads.
+/// Turns estimates into poses for a driver.
 #[derive(Clone, Debug)]
 pub struct Corrections {
     jumps: Jumps,
-    /// `map_from_local` as it is told.
+    /// `map_from_local` as reported.
     told: Option<Rigid3>,
     last: Option<(Time, Rigid3)>,
-    /// Since when the place is localised somewhere else.
+    /// Time since which another place is localised, and its `map_from_local`.
     elsewhere: Option<(Time, Rigid3)>,
 }
 
 impl Corrections {
-    /// None told yet.
+    /// Nothing has been reported yet.
     pub fn new(jumps: Jumps) -> Self {
         Self { jumps, told: None, last: None, elsewhere: None }
     }
 
-    /// Takes the next estimate; pose of the tracking frame in the map for whoever drives. None until it was localised for
-    /// the first time, and after local SLAM lost its way until it is localised again. While nothing is localised, the pose goes on
-    /// as local SLAM says.
+    /// Takes the next estimate; returns the pose of the tracking frame in the map for the driver. None until
+    /// the first localisation, and after local SLAM lost track until the next one. While nothing is
+    /// localised, the pose moves with local SLAM.
     pub fn add(&mut self, estimate: &Estimate) -> Option<Rigid3> {
         if estimate.reason == Reason::LocalMapLost && estimate.state == State::Lost {
             *self = Self::new(self.jumps);
@@ -74,7 +76,7 @@ impl Corrections {
         self.told.map(|map_from_local| map_from_local * local_from_tracking)
     }
 
-    /// `map_from_local` as it was told last.
+    /// `map_from_local` as reported last.
     pub fn map_from_local(&self) -> Option<Rigid3> {
         self.told
     }
@@ -82,7 +84,8 @@ impl Corrections {
     fn corrected(&mut self, estimate: &Estimate, found: &Rigid3, before: Option<(Time, Rigid3)>) -> Rigid3 {
         let (Some(told), Some((time, from))) = (self.told, before) else { return *found };
         let at = estimate.local_from_tracking;
-        // Compared where the robot is: a turn about the far origin of the local map is no shift.
+        // Compared at the robot: a rotation about the far origin of the local map must not count as a
+        // translation.
         let (now, wanted) = (told * at, *found * at);
         let is_jump = (wanted.translation.vector - now.translation.vector).norm() > OTHER_PLACE.metres
             || rotation_angle(&(now.inverse() * wanted)) > OTHER_PLACE.radians;
@@ -102,7 +105,7 @@ impl Corrections {
         towards(&now, &wanted, most_shift, most_turn) * at.inverse()
     }
 
-    /// Whether the place has been localised at another one for long enough.
+    /// Whether another place has been localised for long enough.
     fn is_confirmed(&mut self, estimate: &Estimate, found: &Rigid3, is_jump: bool) -> bool {
         if !is_jump {
             self.elsewhere = None;
@@ -123,7 +126,7 @@ impl Corrections {
     }
 }
 
-/// From one pose towards another, by so many metres and radians at most.
+/// Moves a pose towards another, by at most this translation, metres, and rotation, radians.
 fn towards(from: &Rigid3, to: &Rigid3, most_shift: f64, most_turn: f64) -> Rigid3 {
     let shift = to.translation.vector - from.translation.vector;
     let turn = angle_axis_from_quaternion(&(to.rotation * from.rotation.inverse()));
@@ -151,7 +154,7 @@ mod tests {
         Estimate { time, state, reason: Reason::ScansFit, local_from_tracking, place: Some(place) }
     }
 
-    /// How far to the side the driver is told to be, scan by scan; the place jumps by `jump` metres after 2 s.
+    /// Lateral positions reported to the driver, scan by scan; the place jumps by `jump` metres after 2 s.
     fn told(jumps: Jumps, jump: f64) -> Vec<f64> {
         let mut corrections = Corrections::new(jumps);
         let off = |i: i64| if i < 20 { 1.0 } else { 1.0 + jump };

@@ -1,4 +1,4 @@
-//! What a map says of the cells in which contradictions are counted.
+//! State of a 2D map in the cells in which contradictions are counted.
 
 use portolan_grids::{CellIndex, FREE_CELL, GridError, MapLimits, ProbabilityGrid, SOLID_CELL};
 use portolan_mapping::{GraphState, Space2d};
@@ -9,13 +9,13 @@ use crate::likelihood::LikelihoodField;
 use crate::placed_scan::PlacedScan;
 use crate::settings::changes::{CHANGE_CELL_2D, CHANGING_FRACTION, CLEARANCE};
 
-/// What the map says of a cell.
+/// State of a cell of the map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Known {
     Solid,
-    /// And nothing solid near.
+    /// Free, with nothing solid near.
     Free,
-    /// It is not known, too near to something solid, or see-through.
+    /// Unknown, too near to something solid, or see-through.
     Nothing,
 }
 
@@ -27,10 +27,11 @@ pub(crate) struct KnownCells {
 }
 
 impl KnownCells {
-    /// Of the grid of a map, how near its cells are to something solid, and the scans that the map keeps.
+    /// From the grid of a map, the distance of its cells to something solid, and the scans that the map
+    /// keeps.
     ///
     /// # Errors
-    /// If there is no such grid.
+    /// If the grid cannot be made.
     pub(crate) fn new(
         grid: &ProbabilityGrid,
         field: &LikelihoodField,
@@ -47,13 +48,14 @@ impl KnownCells {
         Ok(cells)
     }
 
-    /// What it says of a cell; nothing of those that it does not have.
+    /// State of a cell; nothing for cells outside of the map.
     pub(crate) fn at(&self, cell: usize) -> Known {
         self.known.get(cell).copied().unwrap_or(Known::Nothing)
     }
 
-    /// Takes back that cells are free in which scans of the map itself end too often: glass and railings, which the grid
-    /// holds free because most beams pass. The lidar is taken to be at the origin of the tracking frame.
+    /// Marks free cells as see-through if too many scans of the map itself end in them: glass and railings,
+    /// which the grid holds as free because most beams pass. The lidar is assumed at the origin of the
+    /// tracking frame.
     fn leave_out_see_through(&mut self, state: &GraphState<Space2d>) {
         let (mut hits, mut passes) = (Counts::new(self.known.len()), Counts::new(self.known.len()));
         let (mut ends, mut passed) = (MarkedCells::new(self.known.len()), MarkedCells::new(self.known.len()));
@@ -84,30 +86,30 @@ impl KnownCells {
     }
 }
 
-/// How often something was seen of each cell; the largest numbers stay.
+/// Number of observations of each cell; it saturates at the largest number.
 #[derive(Clone, Debug)]
 pub(crate) struct Counts(Vec<u32>);
 
 impl Counts {
-    /// Of so many cells; nothing was seen.
+    /// Zero counts for this number of cells.
     pub(crate) fn new(cells: usize) -> Self {
         Self(vec![0; cells])
     }
 
-    /// Once more of a cell.
+    /// Counts one more observation of a cell.
     pub(crate) fn count(&mut self, cell: usize) {
         if let Some(count) = self.0.get_mut(cell) {
             *count = count.saturating_add(1);
         }
     }
 
-    /// How often of a cell.
+    /// Number of observations of a cell.
     pub(crate) fn of(&self, cell: usize) -> u32 {
         self.0.get(cell).copied().unwrap_or_default()
     }
 }
 
-/// A set of cells that is emptied at once.
+/// A set of cells that is cleared in constant time.
 struct MarkedCells {
     /// The round in which each cell was inserted last.
     rounds: Vec<u32>,
@@ -115,7 +117,7 @@ struct MarkedCells {
 }
 
 impl MarkedCells {
-    /// Of so many cells; nothing is in it.
+    /// An empty set of this number of cells.
     fn new(cells: usize) -> Self {
         Self { rounds: vec![0; cells], round: 1 }
     }
@@ -124,7 +126,7 @@ impl MarkedCells {
         self.round += 1;
     }
 
-    /// Whether it was not in it before.
+    /// Inserts a cell; returns whether it was new.
     fn insert(&mut self, cell: usize) -> bool {
         let round = self.rounds.get_mut(cell);
         round.is_some_and(|round| std::mem::replace(round, self.round) != self.round)
@@ -135,7 +137,7 @@ impl MarkedCells {
     }
 }
 
-/// The scans that the nodes of a map keep.
+/// Visits the scans that the nodes of a map keep.
 fn for_each_scan(state: &GraphState<Space2d>, mut visit: impl FnMut(&PlacedScan)) {
     for (_, node) in state.nodes.iter() {
         let map_from_tracking = node.map_from_tracking;
@@ -148,10 +150,10 @@ fn for_each_scan(state: &GraphState<Space2d>, mut visit: impl FnMut(&PlacedScan)
     }
 }
 
-/// What the grid says of larger cells.
+/// States of larger cells from the grid.
 fn known(grid: &ProbabilityGrid, field: &LikelihoodField, limits: &MapLimits, factor: i32) -> Vec<Known> {
     let nearest = LikelihoodField::at_distance(CLEARANCE);
-    // The cells of the grid within a larger one; what of it lies beyond the grid is not known.
+    // The cells of the grid within a larger one; the part beyond the grid is unknown.
     let within = |cell: i32, count: u32| {
         let first = factor.saturating_mul(cell);
         (first, first.saturating_add(factor).min(count as i32))

@@ -1,4 +1,4 @@
-//! What a saved map has to be able to for scans to be found in it: what differs between 2D and 3D.
+//! Interface of saved maps in which scans are localised: what differs between 2D and 3D.
 
 use portolan_geometry::{NearFrame, Point3f, Rigid3, Vector2};
 use portolan_grids::{BeamEnd, GridError, ScanAgreement};
@@ -15,22 +15,22 @@ use crate::renewal::Renewal;
 use crate::settings::maps::USUAL_MAP_ERROR;
 use crate::voxel_changes::KeptSweep;
 
-/// Single precision has steps of a centimetre so far from the origin, metres.
+/// Largest distance of a map from the origin, metres: there, single precision has steps of a centimetre.
 const FARTHEST: f64 = 1e5;
 
-/// Why a map cannot be localised in.
+/// Why localisation in a map is impossible.
 #[derive(Debug, thiserror::Error)]
 pub enum KnownMapError {
-    /// There is nothing in it.
+    /// It has no submaps.
     #[error("the map is empty: it has no submap")]
     Empty,
-    /// Submaps without grids: somebody removed them, or the file is damaged.
+    /// Its submaps have no grids: the user removed them, or the file is damaged.
     #[error("the map has {0} submaps, but not one with a grid: there is nothing to find scans in")]
     NoGrids(usize),
-    /// Grids in which nothing is solid.
+    /// No cell of its grids is solid.
     #[error("nothing in the map is solid: its grids show no wall to find scans by")]
     NoWalls,
-    /// It lies where single precision cannot tell cells apart.
+    /// It is so far from the origin that single precision cannot distinguish cells.
     #[error(
         "the map lies {:.0} km from the origin of its frame, where grids have no place: bring it into a frame near it",
         .0 / 1e3
@@ -55,7 +55,7 @@ impl From<FromAboveError> for KnownMapError {
 }
 
 impl KnownMapError {
-    /// Refuses a map that does not lie near the origin.
+    /// Rejects a map that is not near the origin.
     pub(crate) fn unless_near<S: Space>(state: &GraphState<S>) -> Result<(), Self> {
         let places = state.submaps.keys().filter_map(|id| state.map_from_submap(*id));
         let metres = NearFrame::around(places.map(|pose| pose.translation.vector)).origin().norm();
@@ -63,7 +63,7 @@ impl KnownMapError {
     }
 }
 
-/// How far around a guess a scan is searched, metres and radians to either side.
+/// Search window around a guess, metres and radians to either side.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
     /// Along each axis.
@@ -72,87 +72,90 @@ pub struct Window {
     pub radians: f64,
 }
 
-/// A part of the map, seen from above: what lies within so many metres of a place along each axis.
+/// A part of the map, seen from above: a square around a position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Area {
-    /// The place in the map, metres.
+    /// Centre in the map, metres.
     pub centre: Vector2,
-    /// To each side.
+    /// Half of the edge, metres.
     pub metres: f64,
 }
 
-/// A scan found in the map.
+/// A scan matched to the map.
 #[derive(Clone, Copy, Debug)]
 pub struct ScanMatch {
     /// `map_from_scan`.
     pub pose: Rigid3,
-    /// Information of the pose; nothing along directions that the scan leaves open.
+    /// Information of the pose; zero along degenerate directions.
     pub information: Matrix6,
-    /// What the map says to the scan there.
+    /// Agreement of the map with the scan at this pose.
     pub agreement: ScanAgreement,
 }
 
-/// A saved map in which scans can be found.
+/// A saved map in which scans can be localised.
 ///
 /// Frames of scans are level: z points up as in the local map, the origin is that of the tracking frame, in 2D at
 /// height 0.
 pub trait KnownMap: Sized + Send + Sync + 'static {
-    /// Where local SLAM works.
+    /// The space of local SLAM, 2D or 3D.
     type Space: Space;
-    /// A scan in its frame, as it is matched and judged.
+    /// A scan in its frame, in the form in which it is matched and judged.
     type Scan: Clone + Send + Sync;
-    /// All scans of the recent way as one, in the frame of the newest.
+    /// All recent scans as one cloud, in the frame of the newest.
     type Joint: Send + Sync;
-    /// How the scanner moves.
+    /// Degrees of freedom of the scanner.
     const FREEDOM: Freedom;
-    /// The standard deviation to which a place is certain enough for contradictions to count there, metres: less than the cells
-    /// in which they are counted.
+    /// Standard deviation of the position up to which contradictions of a scan count, metres: less than the
+    /// edge of the cells in which they are counted.
     const CERTAIN_PLACE: f64;
-    /// While no place is known, the whole map is searched at least so often where something new was seen, seconds: as long as
-    /// a search costs, so that a recording is localised no slower than it was made.
+    /// Longest pause between searches of the whole map while no place is known and scans show something new,
+    /// seconds. It is the duration of a search, so that localisation keeps up with the recording.
     const LONGEST_PAUSE: f64;
 
-    /// What a localizer in such a map does.
+    /// The compiled functions of a localizer in such a map.
     fn localizer_work() -> &'static LocalizerWork<Self>;
 
-    /// How far places in the map are off although scans fit.
+    /// Error of the map, which remains in the pose although scans fit.
     fn error(&self) -> MapError {
         USUAL_MAP_ERROR
     }
-    /// The frame of a scan in the local map.
+    /// Pose of the frame of a scan in the local map.
     fn local_from_scan(local_from_tracking: &Rigid3) -> Rigid3;
     /// The points that a node keeps, in the tracking frame.
     fn points_in_tracking(node: &NodeData) -> PointCloud;
-    /// The scan of these returns, which are in its frame in the order in which they were measured.
+    /// Makes a scan of returns, which are in its frame and in the order in which they were measured.
     fn scan(&self, returns: &PointCloud) -> Self::Scan;
-    /// The recent scans as one.
+    /// The joint cloud of the recent scans.
     fn joint(&self, recent: &RecentScans<Self::Scan>) -> Self::Joint;
-    /// Poses in an area, or anywhere in the map, where the joint scan may have been taken, at any heading, the best first.
+    /// Proposes poses where the joint scan may have been taken, in an area or anywhere in the map, at any
+    /// heading, the best first.
     fn propose(
         &self,
         joint: &Self::Joint,
         area: Option<Area>,
         is_known: &(dyn Fn(&Rigid3) -> bool + Sync),
     ) -> Vec<Rigid3>;
-    /// The pose in a window around a guess where the joint scan fits best.
+    /// The pose in a window around a guess at which the joint scan fits best.
     fn settle(&self, joint: &Self::Joint, guess: &Rigid3, window: Window) -> Rigid3;
-    /// Finds a scan in a window around a guess.
+    /// Matches a scan in a window around a guess.
     fn find(&self, scan: &Self::Scan, guess: &Rigid3, window: Window) -> ScanMatch;
-    /// The points that judge a scan, in its frame, with what the map says to each where the scan lies at a pose.
+    /// The judging points of a scan, in its frame, each with the state of the map at the
+    /// end of its beam at a pose.
     fn beam_ends<'a>(
         &'a self,
         scan: &'a Self::Scan,
         pose: &Rigid3,
     ) -> impl Iterator<Item = (&'a Point3f, BeamEnd)>;
-    /// What the map says to a scan at a pose.
+    /// Agreement of the map with a scan at a pose.
     fn agreement(&self, scan: &Self::Scan, pose: &Rigid3) -> ScanAgreement;
-    /// What a scan is kept as, to renew the map by; none where nodes keep enough of it. The returns are in the local map.
+    /// The form in which a scan is kept to renew the map; none where nodes keep enough of it. The returns
+    /// are in the local map.
     fn kept_sweep(_scan: &LocalScan, _place: &Rigid3) -> Option<KeptSweep> {
         None
     }
-    /// Renews the pose graph that holds this map by a trajectory that was localised in it and added to it, and by the scans
-    /// that were kept of it.
+    /// Renews the pose graph that holds this map by a trajectory that was localised in it and added to it,
+    /// and by its kept sweeps.
     fn renew(&self, graph: &mut PoseGraph<Self::Space>, new: TrajectoryId, sweeps: &[&KeptSweep]) -> Renewal;
-    /// Where scans are compared with the map cell by cell.
+    /// An empty counter that compares scans with the map cell by cell.
     fn change_counter(&self) -> Box<dyn ChangeCounter>;
 }

@@ -1,4 +1,4 @@
-//! A saved 2D map as one grid, and what finds scans in it.
+//! A saved 2D map as one grid, with the structures that match scans to it.
 
 use portolan_geometry::{Rigid2, Vector2, project_2d};
 use portolan_grids::{CellBox, CellIndex, Grid2d, GridError, MapLimits, ProbabilityGrid, SURFACE_CELLS};
@@ -11,17 +11,17 @@ use crate::likelihood::LikelihoodField;
 use crate::matcher_2d::Matcher2d;
 use crate::settings::maps::{COARSE_CELL, DISTANCE_FIELD_FREE_LOG_ODDS, MOST_GRID_CELLS, MOST_LOG_ODDS};
 
-/// A saved 2D map: the evidence of all its submaps, where the pose graph puts them.
+/// A saved 2D map: the fused evidence of all its submaps at their poses in the pose graph.
 pub struct KnownMap2d {
-    /// How likely each cell is occupied.
+    /// Probability of each cell that it is occupied.
     pub(crate) grid: Grid2d,
-    /// How near each cell is to something solid.
+    /// Likelihood field: distance of each cell to something solid.
     pub(crate) field: LikelihoodField,
-    /// Finds places in coarse cells.
+    /// Proposes places in coarse cells.
     pub(crate) places: PlaceIndex2d,
-    /// Finds scans near a guess.
+    /// Matches scans near a guess.
     pub(crate) matcher: Matcher2d,
-    /// What scans may contradict.
+    /// Cells that scans may contradict.
     pub(crate) cells: KnownCells,
     known_square_metres: f64,
 }
@@ -30,7 +30,8 @@ impl KnownMap2d {
     /// The map that a pose graph holds.
     ///
     /// # Errors
-    /// If there is nothing in it that scans could be found by.
+    /// If it has no submaps, no grids or no solid cells, is too far from the origin, or grids cannot be
+    /// made.
     pub fn new(state: &GraphState<Space2d>) -> Result<Self, KnownMapError> {
         if state.submaps.is_empty() {
             return Err(KnownMapError::Empty);
@@ -72,18 +73,18 @@ impl KnownMap2d {
         self.grid.limits().resolution()
     }
 
-    /// Whether it knows anything at a point.
+    /// Whether the cell at a point is known.
     pub(crate) fn knows(&self, point: &Vector2) -> bool {
         self.grid.is_known(self.grid.limits().cell_index(point.cast::<f32>()))
     }
 
-    /// How much the map knows.
+    /// Known area, square metres.
     pub fn known_square_metres(&self) -> f64 {
         self.known_square_metres
     }
 }
 
-/// A submap, and where it lies.
+/// A submap and its pose.
 struct Placed<'a> {
     grid: &'a Grid2d,
     map_from_grid: Rigid2,
@@ -107,12 +108,12 @@ impl<'a> Placed<'a> {
     }
 }
 
-/// What a submap says of its cells.
+/// Evidence of a submap about its cells.
 struct Evidence {
     limits: MapLimits,
     /// The cells that are known, and one more to each side.
     cells: CellBox,
-    /// Log odds of these; 0 where nothing is known.
+    /// Log odds of these; 0 where unknown.
     log_odds: Vec<f32>,
 }
 
@@ -153,7 +154,7 @@ impl Evidence {
         }
     }
 
-    /// The cells of a grid of the map that this may reach.
+    /// The cells of a grid of the map that this submap may reach.
     fn reached(&self, map_from_grid: &Rigid2, limits: &MapLimits) -> CellBox {
         let CellBox { min, max } = self.cells;
         let to_map = map_from_grid.point_transform();
@@ -189,13 +190,13 @@ fn log_odds(grid: &Grid2d, cell: CellIndex) -> f32 {
     }
 }
 
-/// A grid in which all submaps lie; none without any.
+/// Limits of a grid that contains all submaps; none without any.
 fn limits(placed: &[Placed]) -> Result<Option<MapLimits>, GridError> {
     let finest = placed.iter().map(|p| p.grid.limits().resolution()).fold(f64::INFINITY, f64::min);
     MapLimits::of_points(placed.iter().flat_map(Placed::corners), finest, MOST_GRID_CELLS)
 }
 
-/// Adds up what all submaps say of each cell.
+/// Sums the evidence of all submaps in each cell.
 fn fuse(placed: &[Placed], limits: MapLimits) -> ProbabilityGrid {
     let mut evidence = vec![0.0_f32; limits.num_cells()];
     for submap in placed {
@@ -213,7 +214,7 @@ fn fuse(placed: &[Placed], limits: MapLimits) -> ProbabilityGrid {
     grid
 }
 
-/// Adds what a submap says of the centres of cells.
+/// Adds the evidence of a submap at the centres of cells.
 fn add_between_cells(evidence: &mut [f32], submap: &Placed, says: &Evidence, limits: &MapLimits) {
     let to_grid = submap.map_from_grid.inverse().point_transform();
     let place = |x, y| says.place(&to_grid(&limits.cell_center(CellIndex::new(x, y))));
@@ -230,7 +231,8 @@ fn add_between_cells(evidence: &mut [f32], submap: &Placed, says: &Evidence, lim
     }
 }
 
-/// Adds the most that a submap says of each of some larger cells, so that walls do not get lost between their centres.
+/// Adds the strongest evidence of a submap in each of some larger cells, so that walls between their centres
+/// are kept.
 fn add_most_in_larger_cells(evidence: &mut [f32], submap: &Placed, says: &Evidence, limits: &MapLimits) {
     let reached = says.reached(&submap.map_from_grid, limits);
     let (columns, rows) = (reached.num_x_cells() as usize, reached.num_y_cells() as usize);

@@ -1,4 +1,4 @@
-//! A saved 3D map: its planes, what is solid and free, and what stands upright seen from above.
+//! A saved 3D map: its planes, its solid and free cells, and its upright structures seen from above.
 
 use std::sync::Arc;
 
@@ -38,14 +38,14 @@ use crate::voxel_changes::{KeptSweep, KnownVoxels, VoxelChanges};
 pub struct KnownMap3d {
     planes: Arc<PlaneMap>,
     pub(crate) occupancy: Arc<Occupancy>,
-    /// Finds places along streets.
+    /// Finds positions along streets.
     solid: SolidField,
-    /// What scans may contradict.
+    /// Cells that scans may contradict.
     pub(crate) voxels: Arc<KnownVoxels>,
-    /// Finds places.
+    /// Proposes places.
     above: SeenFromAbove,
     registration: Registration,
-    /// The share of a scan that the map explains where the scan does not belong: floors fit anywhere.
+    /// Fraction of a scan that the map explains at a wrong pose: floors fit anywhere.
     by_chance: f32,
     error: MapError,
 }
@@ -54,7 +54,7 @@ impl KnownMap3d {
     /// The map that a pose graph holds.
     ///
     /// # Errors
-    /// If there is nothing in it that scans could be found by.
+    /// If it has no submaps, no grids or no solid cells, is too far from the origin, or grids cannot be made.
     pub fn new(state: &GraphState<Space3d>) -> Result<Self, KnownMapError> {
         if state.submaps.is_empty() {
             return Err(KnownMapError::Empty);
@@ -93,7 +93,7 @@ impl KnownMap3d {
             error: USUAL_MAP_ERROR,
         };
         map.by_chance = explained_by_chance(&map, state);
-        // Scans in planes to which they gave no point.
+        // Matches scans to planes to which these scans contributed no point.
         let all =
             std::mem::replace(&mut map.planes, Arc::new(planes_of_every_other_node(state, PLANE_VOXEL)));
         map.error = error_of_own_scans(&map, state);
@@ -101,7 +101,7 @@ impl KnownMap3d {
         Ok(map)
     }
 
-    /// Puts points on planes near a guess; the guess itself where they fit none.
+    /// Registers points to planes near a guess; returns the guess where no planes fit.
     pub(crate) fn register(&self, points: &[Point3f], guess: &Rigid3, window: Window) -> Rigid3 {
         let scale = window.metres.clamp(NARROWEST_REGISTRATION.metres, REGISTRATION_REACH.metres);
         let sigmas =
@@ -111,8 +111,9 @@ impl KnownMap3d {
         found.map(|f| f.pose).filter(is_valid_pose).unwrap_or(*guess)
     }
 
-    /// Moves a pose along the direction that planes leave most open to where the points are most likely; the pose, and what
-    /// planes and this tell of it. Points that judge choose the direction; those that were registered say how sure the planes are.
+    /// Moves a pose along its most degenerate direction to where the points are most likely. Returns the
+    /// pose and its information from planes and from this search. The judging points choose the direction;
+    /// the registered points give the information of the planes.
     fn slide(
         &self,
         (points, judged, registered): (&[Point3f], &[Point3f], &[Point3f]),
@@ -135,7 +136,7 @@ impl KnownMap3d {
             &direction,
             window.metres.clamp(NARROWEST_SLIDE, REGISTRATION_REACH.metres),
         );
-        // Planes that face along it know the place, too.
+        // Planes that face along the direction constrain the position, too.
         let held = direction.dot(&(by_planes.fixed_view::<3, 3>(0, 0) * direction)).max(0.0);
         let share = found.information / (found.information + held).max(f64::MIN_POSITIVE);
         let mut slid = *pose;
@@ -146,7 +147,8 @@ impl KnownMap3d {
         (slid, both)
     }
 
-    /// The same in windows of any size: of several places to begin with, the one that fits best.
+    /// Registers in windows of any size: from several starts, of which the result that fits best is
+    /// returned.
     fn search(&self, points: &[Point3f], guess: &Rigid3, window: Window) -> Rigid3 {
         let steps = |window: f64, reach: f64| {
             ((window - reach) / reach).ceil().clamp(0.0, MOST_REGISTRATION_STEPS) as i32
@@ -173,8 +175,9 @@ impl KnownMap3d {
         best.map_or(*guess, |best| best.1)
     }
 
-    /// What is explained is the share beyond that which would be by chance (as in Cohen, "A coefficient of agreement for
-    /// nominal scales", 1960): 1 where all points are, 0 where the place may be any.
+    /// Agreement of points with the map at a pose. `explained` is the fraction beyond that expected by
+    /// chance (as in Cohen, "A coefficient of agreement for nominal scales", 1960): 1 where all points are
+    /// explained, 0 where no more are than at a random pose.
     pub(crate) fn agreement_of(&self, points: &[Point3f], pose: &Rigid3) -> ScanAgreement {
         let mut agreement: ScanAgreement = self.ends_of(points, pose).map(|(_, end)| end).collect();
         let beyond_chance = (agreement.explained - self.by_chance) / (1.0 - self.by_chance);
@@ -207,7 +210,7 @@ impl KnownMap3d {
             .is_some_and(|plane| plane.normal.dot(&(point.coords - plane.point)).abs() < ON_PLANE)
     }
 
-    /// The points that lie on planes, with their normals.
+    /// The points that are on planes, with the normals of these.
     fn contacts<'a>(
         &'a self,
         points: &'a [Point3f],

@@ -1,4 +1,4 @@
-//! The planes of a saved 3D map.
+//! Fits the planes of a saved 3D map.
 
 use portolan_geometry::{Point3f, to_f32};
 use portolan_grids::SOLID_VOXEL;
@@ -7,9 +7,10 @@ use portolan_mapping::{GraphState, Node, Space3d};
 
 use crate::submap_cells::SubmapCells;
 
-/// Adds the solid cells of a submap to planes, if its nodes keep no points. Otherwise its cells say nothing more of planes, and
-/// what they say is biased: all points of a surface that lies along the lattice are moved to the middles of the same cells,
-/// by up to half an edge, and no number of them makes that smaller (docs/experiments/2026-11-along-streets.md).
+/// Adds the solid cells of a submap to planes, if its nodes keep no points. Otherwise the cells add no
+/// information about planes, and they are biased: all points of a surface along the lattice are moved to the
+/// middles of the same cells, by up to half an edge, and no number of them reduces this
+/// (docs/experiments/2026-11-along-streets.md).
 pub(crate) fn add_cells(planes: &mut PlaneMap, submap: &SubmapCells, state: &GraphState<Space3d>) {
     if has_points(submap, state) {
         return;
@@ -30,7 +31,7 @@ fn has_points(submap: &SubmapCells, state: &GraphState<Space3d>) -> bool {
     })
 }
 
-/// And the points that these nodes saw, where the pose graph puts them.
+/// Adds the points that these nodes saw, at their poses in the pose graph.
 pub(crate) fn with_nodes<'a>(planes: PlaneMap, nodes: impl Iterator<Item = &'a Node>) -> PlaneMap {
     let mut planes = planes;
     for node in nodes {
@@ -42,7 +43,7 @@ pub(crate) fn with_nodes<'a>(planes: PlaneMap, nodes: impl Iterator<Item = &'a N
     planes.compacted()
 }
 
-/// The planes of the first node, the third and so on, by which the scans of the others are judged.
+/// The planes of the first node, the third and so on, to which the scans of the others are matched.
 pub(crate) fn planes_of_every_other_node(state: &GraphState<Space3d>, edge: f32) -> PlaneMap {
     with_nodes(PlaneMap::new(edge), state.nodes.values().step_by(2))
 }

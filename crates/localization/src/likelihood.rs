@@ -1,7 +1,7 @@
-//! How near every place is to something solid, and searching scans by it.
+//! Likelihood field of a 2D map (distance to the nearest solid cell), and correlative search of scans in it.
 //!
-//! The likelihood field of Thrun, Burgard and Fox ("Probabilistic Robotics", §6.4): smooth where grids are not, so
-//! that a search may take steps of several cells.
+//! It is the likelihood field of Thrun, Burgard and Fox ("Probabilistic Robotics", §6.4). It is smooth where
+//! grids are not, so that a search may take steps of several cells.
 
 use portolan_geometry::{Rigid2, Vector2};
 use portolan_grids::{CellIndex, MapLimits, ProbabilityGrid, SOLID_CELL};
@@ -9,10 +9,10 @@ use portolan_grids::{CellIndex, MapLimits, ProbabilityGrid, SOLID_CELL};
 use crate::known_map::Window;
 use crate::settings::matching::{GUESS_PREFERENCE, MOST_PLACEMENTS, RETURN_SIGMA, SEARCH_STEP, SEARCH_TURN};
 
-/// Farther than so many standard deviations away a byte is 0.
+/// Distance beyond which a byte is 0, in standard deviations.
 const FARTHEST: f64 = 4.0;
 
-/// Bytes: 255 at something solid, 0 far from everything.
+/// Likelihoods as bytes: 255 at something solid, 0 far from everything.
 pub(crate) struct LikelihoodField {
     limits: MapLimits,
     bytes: Vec<u8>,
@@ -30,12 +30,12 @@ impl LikelihoodField {
         Self { limits, bytes: distances.into_iter().map(byte).collect() }
     }
 
-    /// Whether anything is solid.
+    /// Whether any cell is solid.
     pub fn has_walls(&self) -> bool {
         self.bytes.contains(&255)
     }
 
-    /// What [`LikelihoodField::at`] says at a distance from something solid, metres.
+    /// Value of [`LikelihoodField::at`] at a distance from something solid, metres.
     pub fn at_distance(metres: f64) -> f64 {
         (-0.5 * (metres / RETURN_SIGMA).powi(2)).exp()
     }
@@ -51,9 +51,9 @@ impl LikelihoodField {
         index.and_then(|i| self.bytes.get(i)).copied().unwrap_or(0)
     }
 
-    /// For each point moved by `at` two numbers whose sum is the position of its cell in the list of cells: where the row of the
-    /// grid begins, which follows from x alone, and the place in that row, from y alone. Outside of the grid the sum is beyond
-    /// the list.
+    /// For each point moved by `at`, two numbers whose sum is the index of its cell in the list: the start
+    /// of the row of the grid, which depends on x alone, and the position in that row, which depends on y
+    /// alone. Outside of the grid the sum is beyond the list.
     fn positions(&self, points: &[Vector2], at: &Vector2) -> (Vec<usize>, Vec<usize>) {
         let [columns, rows] = [self.limits.num_x_cells(), self.limits.num_y_cells()].map(|n| n as usize);
         let within = |i: i32, count: usize| usize::try_from(i).ok().filter(|i| *i < count);
@@ -65,7 +65,7 @@ impl LikelihoodField {
         cells.map(position).unzip()
     }
 
-    /// The placement of a scan in a window around a guess that is nearest to what is solid.
+    /// The pose of a scan in a window around a guess with the highest mean likelihood.
     pub fn search(&self, points: &[Vector2], guess: &Rigid2, window: Window) -> Rigid2 {
         let count = |width: f64, step: f64| (width / step - 1e-6).ceil().max(0.0);
         let (mut shifts, mut turns) = (count(window.metres, SEARCH_STEP), count(window.radians, SEARCH_TURN));
@@ -130,11 +130,11 @@ fn squared_distances(grid: &ProbabilityGrid) -> Vec<f32> {
     distances
 }
 
-/// The lower envelope of parabolas over one line.
+/// Lower envelope of parabolas over one line.
 #[derive(Default)]
 struct Transform {
     values: Vec<f32>,
-    /// Where the parabolas of the envelope stand, how high, and from where on each is the lowest.
+    /// Position and height of the parabolas of the envelope, and the position from which each is the lowest.
     envelope: Vec<(f32, f32, f32)>,
     result: Vec<f32>,
 }

@@ -1,4 +1,4 @@
-//! Matching a scan to a 2D map, and what the match tells.
+//! Matches a scan to a 2D map and computes the information of the match.
 
 use portolan_geometry::{Point3f, Rigid2, Rigid3, Vector2, Vector3, embed_3d, project_2d, to_f32};
 use portolan_grids::{BeamEnd, ScanAgreement, beam_ends};
@@ -37,7 +37,7 @@ impl Matcher2d {
         Ok(Self { gradient: GradientMatcher2d::new(&options)? })
     }
 
-    /// Finds a cloud in a window around a guess.
+    /// Matches a cloud in a window around a guess.
     pub fn place(
         &self,
         map: &KnownMap2d,
@@ -135,7 +135,7 @@ impl KnownMap for KnownMap2d {
     }
 }
 
-/// The points of a scan that lie at walls of the map, with the normals of what the scan sees there.
+/// The points of a scan at walls of the map, with the normals of the surfaces in the scan.
 fn contacts<'a>(
     map: &'a KnownMap2d,
     scan: &'a Scan2d,

@@ -14,10 +14,10 @@ pub(crate) struct NearCells {
 }
 
 impl NearCells {
-    /// Cells whose indices differ by no more than this from those of the place can be in the set.
+    /// Maximum difference between the indices of a cell in the set and those of the centre.
     pub const REACH: i32 = EDGE / 2 - 1;
 
-    /// Of a place; nothing is in it.
+    /// An empty set around a centre.
     pub fn around(place: VoxelIndex) -> Self {
         Self { first: place.map(|i| i.saturating_sub(EDGE / 2)), rows: vec![0; (EDGE * EDGE) as usize] }
     }
@@ -38,7 +38,7 @@ impl NearCells {
         self.place(cell).is_some_and(|(row, bit)| self.rows.get(row).is_some_and(|row| row & bit != 0))
     }
 
-    /// The same with all cells that are as near as two along each axis to those in it: axis by axis.
+    /// The set extended by two cells along each axis: axis by axis.
     #[must_use]
     pub fn with_two_around(&self) -> Self {
         let along_x = self.rows.iter().map(|row| row | row << 1 | row << 2 | row >> 1 | row >> 2);
@@ -68,7 +68,7 @@ impl NearCells {
     }
 }
 
-/// Each row with those that are one and two steps before and after it, along y (a step of 1) or along z.
+/// Joins each row with those one and two steps before and after it, along y (a step of 1) or along z.
 fn joined(rows: Vec<u128>, step: usize) -> Vec<u128> {
     let edge = EDGE as usize;
     let at = |i: usize, by: usize| {

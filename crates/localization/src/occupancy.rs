@@ -1,4 +1,4 @@
-//! Which voxels are solid and which are free, over a whole 3D map.
+//! Classifies the voxels of a whole 3D map as solid, free or unknown.
 
 use portolan_geometry::{Point3f, to_f32};
 use portolan_grids::{GridError, MAX_VOXEL_INDEX, SOLID_VOXEL, VoxelIndex, VoxelLattice};
@@ -8,10 +8,10 @@ use crate::settings::maps::{FREE_BEAM_CLEARANCE, FREE_BEAM_RANGE, GONE_PROBABILI
 use crate::submap_cells::SubmapCells;
 use crate::voxel_states::{VoxelState, VoxelStates};
 
-/// No cell has an index below the negative of this.
+/// Negative of the smallest index of a cell.
 const FIRST: i32 = MAX_VOXEL_INDEX;
 
-/// Cells that are solid, free or not known.
+/// Cells that are solid, free or unknown.
 pub(crate) struct Occupancy {
     lattice: VoxelLattice,
     cells: VoxelStates,
@@ -20,21 +20,21 @@ pub(crate) struct Occupancy {
 /// An occupancy to which submaps are added, one after the other.
 pub(crate) struct OccupancyBuilder {
     occupancy: Occupancy,
-    /// Where fine cells say that nothing is there.
+    /// Centres of fine cells with a low probability, where nothing is left.
     faded: Vec<Point3f>,
 }
 
 impl OccupancyBuilder {
-    /// Of no submap.
+    /// An occupancy without submaps.
     ///
     /// # Errors
-    /// If there is no such grid.
+    /// If the grid cannot be made.
     pub fn new() -> Result<Self, GridError> {
         let occupancy = Occupancy { lattice: VoxelLattice::new(OCCUPANCY_CELL)?, cells: VoxelStates::new() };
         Ok(Self { occupancy, faded: Vec::new() })
     }
 
-    /// Takes a submap.
+    /// Adds a submap.
     pub fn add(&mut self, submap: &SubmapCells) {
         let Occupancy { lattice, cells } = &mut self.occupancy;
         for (place, probability) in &submap.cells {
@@ -48,7 +48,7 @@ impl OccupancyBuilder {
         }
     }
 
-    /// With the beams of all nodes.
+    /// Adds the beams of all nodes and returns the result.
     pub fn finish(self, state: &GraphState<Space3d>) -> Occupancy {
         let Self { occupancy: Occupancy { lattice, mut cells }, faded } = self;
         for place in faded {
@@ -66,7 +66,7 @@ impl OccupancyBuilder {
                 let length = beam.norm();
                 let steps =
                     ((length.min(FREE_BEAM_RANGE) - FREE_BEAM_CLEARANCE) / OCCUPANCY_CELL).max(0.0) as u32;
-                // In cells, from where no index is negative: whole parts are then the indices.
+                // In cells, offset so that no index is negative: truncation then gives the index.
                 let first = origin.coords.map(|v| v / OCCUPANCY_CELL + 0.5 + FIRST as f32);
                 let step = beam / length;
                 for i in 2..steps {
@@ -80,7 +80,7 @@ impl OccupancyBuilder {
 }
 
 impl Occupancy {
-    /// The cell of a point; none where there can be none.
+    /// The cell of a point; none outside the range of indices.
     #[inline]
     pub fn cell(&self, point: &Point3f) -> Option<VoxelIndex> {
         self.lattice.cell(point)
@@ -97,7 +97,7 @@ impl Occupancy {
         self.cells.get(cell) == Some(VoxelState::Solid)
     }
 
-    /// Whether beams went through a cell, or what was there is gone.
+    /// Whether beams passed through a cell, or the object in it is gone.
     #[inline]
     pub fn is_free_cell(&self, cell: VoxelIndex) -> bool {
         self.cells.get(cell) == Some(VoxelState::Free)
@@ -110,7 +110,7 @@ impl Occupancy {
         solid
     }
 
-    /// Whether something solid is in the cell of a point or right beside it.
+    /// Whether the cell of a point or one of its six neighbours is solid.
     pub fn is_solid_near(&self, point: &Point3f) -> bool {
         const AROUND: [[i32; 3]; 7] =
             [[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]];
@@ -118,7 +118,7 @@ impl Occupancy {
         AROUND.iter().any(|[i, j, k]| self.is_solid([x + i, y + j, z + k]))
     }
 
-    /// Whether a point is where beams went through.
+    /// Whether a point is in a free cell.
     pub fn is_free(&self, point: &Point3f) -> bool {
         let Some(cell) = self.lattice.cell(point) else { return false };
         self.is_free_cell(cell)

@@ -1,4 +1,5 @@
-//! What a 3D map says to its own scans: put where they were taken, and where they were not.
+//! Matches the scans of a 3D map to the map itself: at their true poses to measure the error of the map, and
+//! at wrong poses to measure what it explains by chance.
 
 use nalgebra::Matrix3;
 use portolan_geometry::{Rigid3, Vector3, rotation_from_roll_pitch_yaw, to_f32};
@@ -15,16 +16,16 @@ use crate::settings::maps::{
 use crate::settings::matching::NARROWEST_WINDOW;
 use crate::settings::search::AROUND_PROPOSAL_3D;
 
-/// Misplaced ones are turned by the golden angle against each other, radians.
+/// Angle by which consecutive misplaced scans are rotated against each other (golden angle), radians.
 const GOLDEN_ANGLE: f64 = 2.399_963;
-/// From one standard deviation that is tried to the next.
+/// Ratio of consecutive standard deviations that are tried.
 const FINENESS: f64 = 1.05;
-/// Half of the squares of three standard normal numbers add up to less.
+/// Median of the sum of squares of three standard normal variables.
 const MEDIAN_OF_THREE: f64 = 2.366;
-/// Information of what is open.
+/// Information that is assumed in degenerate directions.
 const NOTHING: f64 = 1e-6;
 
-/// The scan of a node, and the frame in which it is level, in the map.
+/// The scan of a node, and the pose in the map of the frame in which it is level.
 fn scan_of(node: &Node) -> (Scan3d, Rigid3) {
     let level = KnownMap3d::local_from_scan(&node.map_from_tracking);
     let scan_from_tracking = to_f32(&(level.inverse() * node.map_from_tracking));
@@ -32,7 +33,7 @@ fn scan_of(node: &Node) -> (Scan3d, Rigid3) {
     (Scan3d::new(&points.transformed(&scan_from_tracking)), level)
 }
 
-/// The median share that the map explains of its own scans, put to wrong places.
+/// Median fraction that the map explains of its own scans at wrong poses.
 pub(crate) fn explained_by_chance(map: &KnownMap3d, state: &GraphState<Space3d>) -> f32 {
     let nodes: Vec<_> = state.nodes.values().collect();
     let misplaced = |k: usize| {
@@ -50,9 +51,10 @@ pub(crate) fn explained_by_chance(map: &KnownMap3d, state: &GraphState<Space3d>)
     shares.get(shares.len() / 2).map_or(USUAL_CHANCE_FRACTION, |share| share.min(MOST_CHANCE_FRACTION))
 }
 
-/// What the map is off by where every other of its scans is looked for in planes that only the rest made: so much variance,
-/// along and about each axis, that half of the scans lie as near to where they were taken as half of all should, beyond what
-/// they say of themselves (as Paule and Mandel 1982 take the variance between laboratories, with the median for the mean).
+/// Error of the map, measured by matching every other of its scans to planes made from the rest. It is the
+/// variance, along and about each axis and in addition to the covariances of the matches, with which half of
+/// the scans are within the median bound of their true poses (as Paule and Mandel 1982 estimate the variance
+/// between laboratories, with the median for the mean).
 pub(crate) fn error_of_own_scans(map: &KnownMap3d, state: &GraphState<Space3d>) -> MapError {
     let nodes: Vec<_> = state.nodes.values().skip(1).step_by(2).collect();
     let asked = OWN_SCANS.min(nodes.len());
@@ -78,8 +80,8 @@ pub(crate) fn error_of_own_scans(map: &KnownMap3d, state: &GraphState<Space3d>) 
     MapError { metres: of_block(0, LEAST_MAP_ERROR.metres), radians: of_block(3, LEAST_MAP_ERROR.radians) }
 }
 
-/// The standard deviation along each axis, no less than the least, with which half of the offsets lie within the bound of half
-/// of all.
+/// The smallest standard deviation along each axis, at least `least`, with which half of the offsets are
+/// within the median bound.
 fn unexplained(offsets: &[(Vector3, Matrix3<f64>)], least: f64) -> f64 {
     let half_is_within = |sigma: f64| {
         let more = Matrix3::identity() * (sigma * sigma);
@@ -97,7 +99,7 @@ fn unexplained(offsets: &[(Vector3, Matrix3<f64>)], least: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// The shares of a normal distribution that lie between numbers which lie evenly in it, along one axis after the other.
+    /// Offsets at the quantiles of a normal distribution, combined along the three axes.
     fn offsets(sigma: f64) -> Vec<Vector3> {
         let normal = [-1.53, -0.89, -0.49, -0.16, 0.16, 0.49, 0.89, 1.53];
         let pairs = normal.into_iter().flat_map(|x| normal.map(|y| (x, y)));

@@ -1,4 +1,4 @@
-//! How fast the scanner moves, and steps that it cannot have made.
+//! Measures the speed of the scanner and detects steps that are physically impossible.
 
 use portolan_geometry::{Rigid3, Time, Vector3};
 
@@ -6,22 +6,22 @@ use crate::settings::tracking::{
     CATCHING_UP, FARTHEST_OFF, FRICTION, MOVING_SPANS, SHORTEST_JUMP, SPEED_SPAN, STAMP_ERROR, TIMES_AS_FAST,
 };
 
-/// How the scanner has been moving.
+/// Speed of the scanner so far.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Pace {
-    /// The fastest, metres per second, and over how many spans it was looked at.
+    /// Highest speed, metres per second, and the number of time spans over which speed was measured.
     fastest: f64,
     spans: u32,
-    /// Over the last span, metres per second; none before the first has passed.
+    /// Velocity over the last time span, metres per second; none before the first has passed.
     velocity: Option<Vector3>,
-    /// Where the span began that goes on.
+    /// Start of the current time span.
     since: Option<(Time, Rigid3)>,
     last: Option<(Time, Rigid3)>,
     jumped: Option<Time>,
 }
 
 impl Pace {
-    /// Whether a scan lies where the scanner cannot have come since the last one; the way is then taken to begin anew.
+    /// Whether the scanner cannot have moved from the last scan to this one; the path then starts anew.
     pub fn is_jump(&mut self, time: Time, local_from_scan: &Rigid3) -> bool {
         let here = (time, *local_from_scan);
         let is_jump = self.last.replace(here).is_some_and(|last| self.is_farther(&last, &here));
@@ -40,7 +40,7 @@ impl Pace {
         false
     }
 
-    /// Whether a step is longer than the scanner can have gone.
+    /// Whether a step is longer than possible.
     fn is_farther(&self, last: &(Time, Rigid3), here: &(Time, Rigid3)) -> bool {
         let (step, seconds) = motion(last, here);
         let farthest = TIMES_AS_FAST * self.fastest * seconds.max(SPEED_SPAN);
@@ -55,7 +55,7 @@ impl Pace {
     }
 }
 
-/// Metres and seconds from one place to another one.
+/// Translation, metres, and time, seconds, between two poses.
 fn motion(from: &(Time, Rigid3), to: &(Time, Rigid3)) -> (Vector3, f64) {
     (to.1.translation.vector - from.1.translation.vector, to.0.seconds_since(from.0))
 }
@@ -96,7 +96,7 @@ mod tests {
     fn a_car_that_starts_and_stamps_in_bursts_are_no_jumps() {
         let car = |i: i32| (0.1 * f64::from(i), 1.5 * (0.1 * f64::from(i)).powi(2));
         assert_eq!(jumps((0..200).map(car)), 0);
-        // That stood before.
+        // The same car, at rest before.
         let starts = |i: i32| if i < 100 { (0.1 * f64::from(i), 0.0) } else { (car(i).0, car(i - 100).1) };
         assert_eq!(jumps((0..300).map(starts)), 0);
         let bursts = |i: i32| (0.6 * f64::from(i / 3) + 0.002 * f64::from(i % 3), 0.2 * f64::from(i));

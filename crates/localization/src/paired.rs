@@ -1,4 +1,4 @@
-//! Which of two places what was seen speaks for.
+//! Compares two places by the recent scans: counts the cells that only one of them explains.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,8 @@ use crate::known_map::KnownMap;
 use crate::recent::RecentScans;
 use crate::settings::scans::{PAIRED_CELL, PAIRED_MAJORITY};
 
-/// Cells of the recent scans that the map explains at one of two places alone, and contradicts at the other.
+/// Number of cells of the recent scans that the map explains at one of two places and contradicts at the
+/// other.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Discordant {
     pub at_first: u32,
@@ -38,15 +39,16 @@ impl Discordant {
         Self { at_first: count(Cell::is_for_first), at_second: count(Cell::is_for_second) }
     }
 
-    /// By how many standard deviations the cells speak for the first place, if either were as likely to explain one of them
-    /// (McNemar, "Note on the sampling error of the difference between correlated proportions or percentages", 1947).
+    /// Evidence for the first place in standard deviations, under the hypothesis that both places are as
+    /// likely to explain a cell (McNemar, "Note on the sampling error of the difference between correlated
+    /// proportions or percentages", 1947).
     pub fn deviations(self) -> f64 {
         let [first, second] = [self.at_first, self.at_second].map(f64::from);
         (first - second) / (first + second).max(1.0).sqrt()
     }
 }
 
-/// What the map says at two places to the points in a cell.
+/// Agreement of the points in a cell with the map at two places.
 #[derive(Clone, Copy, Debug, Default)]
 struct Cell {
     points: u32,

@@ -1,4 +1,4 @@
-//! Where a recording lies in a known map while it is mapped beside it.
+//! Localises a recording in a known map while it is being mapped.
 
 use std::collections::BTreeMap;
 
@@ -13,17 +13,18 @@ use crate::search::Searcher;
 use crate::state::Estimate;
 use crate::trust::trusted_spans;
 
-/// Finds the scans of a recording that is mapped in a map that was known before.
+/// Localises the scans of a recording that is being mapped, in a map that was known before.
 pub trait PlaceTracker<S: Space>: Send {
-    /// Takes what became of a scan; where it was found, as far as is known by now.
+    /// Takes a scan from local SLAM; returns its place in the map, if it is known by now.
     fn add(&mut self, scan: &MatchingResult<S>) -> Option<FoundPlace>;
-    /// Where scans were found, as well as a match to the map tells it, and without a doubt soon after.
+    /// Places of scans that are as certain as a match to the map, and that no contradiction soon after calls
+    /// into question.
     fn found(&self) -> Vec<FoundPlace>;
-    /// Where the submaps of the known map lay when it was loaded.
+    /// Poses of the submaps of the known map when it was loaded.
     fn known_submaps(&self) -> &BTreeMap<SubmapId, Rigid3>;
 }
 
-/// A tracker in a known 3D map; none if there is nothing in it by which scans could be found, or no threads can be started
+/// A tracker in a known 3D map; none if scans cannot be localised in this map, or no threads can be started
 /// (0: as many as there are cores).
 pub fn place_tracker_3d(
     known: &GraphState<Space3d>,

@@ -1,4 +1,4 @@
-//! A scan whose place in the map is known, as cells in which its beams end and through which they pass.
+//! A localised scan, as the cells in which its beams end and through which they pass.
 
 use std::collections::BTreeSet;
 
@@ -7,48 +7,49 @@ use portolan_grids::{CellIndex, MapLimits};
 
 use crate::settings::changes::{CHANGE_RANGE_2D, CLEARANCE};
 
-/// A scan whose place is known.
+/// A scan with a known pose in the map.
 pub struct PlacedScan<'a> {
     /// When it was taken.
     pub time: Time,
     /// Where its beams begin, in the map.
     pub origin: Vector3,
-    /// Where the local map lies.
+    /// Pose of the local map in the map.
     pub map_from_local: Rigid3,
     /// Returns in the local map, metres.
     pub returns: &'a [Point3f],
 }
 
 impl PlacedScan<'_> {
-    /// The cells in which beams end, some of them often.
+    /// The cells in which beams end; cells may repeat.
     pub(crate) fn ends<'b>(&'b self, limits: &'b MapLimits) -> impl Iterator<Item = usize> + use<'b> {
         let near = self.beams().filter(|(_, length)| *length <= CHANGE_RANGE_2D);
         near.filter_map(|(beam, _)| cell_at(limits, &(self.origin.xy() + beam)))
     }
 
-    /// The same and the cells around each of them.
+    /// The cells in which beams end and the cells around each of them.
     pub(crate) fn around_ends<'b>(&'b self, limits: &'b MapLimits) -> impl Iterator<Item = usize> + use<'b> {
         self.ends(limits).flat_map(move |cell| around_cell(limits, cell))
     }
 
-    /// The cells through which beams pass well before their ends, some of them often.
+    /// The cells through which beams pass well before their ends; cells may repeat.
     pub(crate) fn passed<'b>(&'b self, limits: &'b MapLimits) -> impl Iterator<Item = usize> + use<'b> {
         let (step, edge, max) = (0.5 * limits.resolution(), limits.resolution(), limits.max());
-        // Columns run against y, rows against x; both in cells from the corner of the first cell.
+        // Columns run against y, rows against x. Both are measured in cells from the corner of the first
+        // cell.
         let [first_x, first_y] = [max.y - self.origin.y, max.x - self.origin.x].map(|v| v / edge);
         self.beams().flat_map(move |(beam, length)| {
             let steps = ((length - CLEARANCE).min(CHANGE_RANGE_2D) / step).max(0.0) as u32;
             let [x, y] = [-beam.y, -beam.x].map(|v| v * step / (edge * length));
             let at = move |i| (first_x + f64::from(i) * x, first_y + f64::from(i) * y);
             (1..steps).map(at).filter_map(move |(x, y)| {
-                // What lies before the first cell must not be rounded into it.
+                // Coordinates before the first cell must not be rounded into it.
                 let is_inside = x >= 0.0 && y >= 0.0;
                 is_inside.then(|| limits.flat_index(CellIndex::new(x as i32, y as i32))).flatten()
             })
         })
     }
 
-    /// From the origin to the ends seen from above, and the lengths.
+    /// Vectors from the origin to the ends of beams, seen from above, and their lengths.
     fn beams(&self) -> impl Iterator<Item = (Vector2, f64)> + use<'_> {
         let (to_map, origin) = (project_2d(&self.map_from_local).point_transform(), self.origin.xy());
         let beams = self.returns.iter().map(move |point| {

@@ -1,4 +1,4 @@
-//! The last scans on the way.
+//! Keeps the last scans along the path.
 
 use std::collections::VecDeque;
 
@@ -14,7 +14,7 @@ pub(crate) struct KeyScan<S> {
     pub scan: S,
 }
 
-/// The last scans on the way, oldest first.
+/// The last scans along the path, oldest first.
 #[derive(Clone, Debug)]
 pub struct RecentScans<S> {
     scans: VecDeque<KeyScan<S>>,
@@ -26,12 +26,12 @@ impl<S> Default for RecentScans<S> {
     }
 }
 
-/// What became of a scan that was offered.
+/// Result of offering a scan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Offered {
-    /// It is like the last one.
+    /// It is like the last one and is dropped.
     LeftOut,
-    /// It is kept; whether the oldest one went for it.
+    /// It is kept; `oldest_left` if the oldest one was dropped for it.
     Kept { oldest_left: bool },
 }
 
@@ -69,7 +69,7 @@ impl<S> RecentScans<S> {
         self.scans.retain(|scan| scan.time >= time);
     }
 
-    /// Way and turn from the first kept scan to the last, metres and radians, along the kept scans.
+    /// Distance and rotation from the first kept scan to the last, metres and radians, along the kept scans.
     pub(crate) fn motion(&self) -> (f64, f64) {
         let steps = self.scans.iter().zip(self.scans.iter().skip(1));
         steps.fold((0.0, 0.0), |(way, turn), (a, b)| {
@@ -78,7 +78,7 @@ impl<S> RecentScans<S> {
         })
     }
 
-    /// The kept scans with where they were taken in the frame of the newest, the newest first.
+    /// The kept scans with their poses in the frame of the newest, the newest first.
     pub fn seen_from_newest(&self) -> impl Iterator<Item = (Rigid3, &S)> {
         let newest = self.scans.back().map_or_else(Rigid3::identity, |scan| scan.local_from_scan);
         self.scans.iter().rev().map(move |kept| (newest.inverse() * kept.local_from_scan, &kept.scan))

@@ -1,4 +1,4 @@
-//! Estimates as words, so that those of a long recording can wait in a file.
+//! Serialises estimates, so that those of a long recording can be kept in a file.
 
 use portolan_grids::ScanAgreement;
 use portolan_recall::{Answer, Sink, Words};

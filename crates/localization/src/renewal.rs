@@ -1,10 +1,11 @@
-//! A 2D map renewed by a recording that was localised in it: what is gone fades, what is new appears, and the rest
-//! stays as it was.
+//! Renews a 2D map by a recording that was localised in it: objects that are gone fade, new ones appear, and
+//! the rest stays unchanged.
 //!
-//! The recording is a trajectory of the map already. Of its submaps those stay that show what the map did not know, or that
-//! replace older ones in which something has changed. What has changed in other submaps is drawn into these, cell by cell.
-//! So nodes, submaps and constraints grow with the area that was seen, not with time (Johannsson, Kaess, Fallon and Leonard,
-//! "Temporally scalable visual SLAM using a reduced pose graph", ICRA 2013, bound pose graphs by space in this sense).
+//! The recording is already a trajectory of the map. Its submaps stay if they show what the map did not
+//! know, or if they replace older ones in which something has changed. Changes in the other submaps are
+//! copied into the older ones, cell by cell. So the number of nodes, submaps and constraints grows with the
+//! area that was seen, not with time (Johannsson, Kaess, Fallon and Leonard, "Temporally scalable visual
+//! SLAM using a reduced pose graph", ICRA 2013, bound pose graphs by space in this sense).
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
@@ -22,18 +23,18 @@ use crate::settings::changes::{
     AREA_CELL, AROUND_CHANGED, BESIDE_GONE, LEAST_NEW_AREA, MOST_ALONE, REPLACED_FRACTION, REPLACEMENT_2D,
 };
 
-/// What a recording changed in a map.
+/// Changes of a map by a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Renewal {
     /// Submaps of the recording that stay.
     pub added_submaps: usize,
     /// Older submaps that were removed.
     pub removed_submaps: usize,
-    /// Square metres in which something has appeared.
+    /// Area in which something has appeared, square metres.
     pub appeared: f64,
-    /// Square metres in which something is gone.
+    /// Area in which something is gone, square metres.
     pub gone: f64,
-    /// Square metres that the map did not know.
+    /// Area that the map did not know, square metres.
     pub discovered: f64,
 }
 
@@ -52,7 +53,7 @@ fn cell_at(point: &Vector2) -> Cell {
     (index(point.x), index(point.y))
 }
 
-/// What a submap of the recording shows.
+/// Cells of a submap of the recording that matter for renewal.
 #[derive(Default)]
 struct Shown {
     /// Cells that have changed.
@@ -61,7 +62,7 @@ struct Shown {
     unknown: BTreeSet<Cell>,
 }
 
-/// Renews a map by a trajectory of it; `before` is the map without this trajectory.
+/// Renews a map by one of its trajectories; `before` is the map without this trajectory.
 pub(crate) fn renew(graph: &mut PoseGraph<Space2d>, new: TrajectoryId, before: &KnownMap2d) -> Renewal {
     let changes = changed_cells(graph, new, before);
     let all = shown(graph, new, before, &changes);
@@ -85,7 +86,7 @@ pub(crate) fn renew(graph: &mut PoseGraph<Space2d>, new: TrajectoryId, before: &
     }
 }
 
-/// Draws what has changed into older submaps, and takes what is gone out of older scans.
+/// Copies changes into older submaps, and removes points that are gone from older scans.
 fn draw_changes(
     graph: &mut PoseGraph<Space2d>,
     new: TrajectoryId,
@@ -105,7 +106,7 @@ fn draw_changes(
     graph.forget_points(new, &|point| beside_gone.contains(point));
 }
 
-/// Cells of the map that nodes of the trajectory contradict, from places some way apart.
+/// Cells of the map that nodes of the trajectory contradict, from viewpoints some distance apart.
 fn changed_cells(graph: &PoseGraph<Space2d>, new: TrajectoryId, before: &KnownMap2d) -> ChangedCells {
     let mut grid = ChangeGrid::new(before.cells.clone());
     let mut last: Option<Rigid3> = None;
@@ -128,7 +129,7 @@ fn changed_cells(graph: &PoseGraph<Space2d>, new: TrajectoryId, before: &KnownMa
     grid.changed_cells()
 }
 
-/// What each submap of the trajectory shows.
+/// Changed and unknown cells of each submap of the trajectory.
 fn shown(
     graph: &PoseGraph<Space2d>,
     new: TrajectoryId,
@@ -151,8 +152,8 @@ fn shown(
     of_trajectory(&state.submaps, new).filter_map(of_submap).collect()
 }
 
-/// The submaps that show so many cells or more that the map does not know: one after the other the one that shows most of
-/// what no other shows yet.
+/// Greedily chooses the submaps that show at least `least_cells` cells unknown to the map: in each step the
+/// one that shows most cells that no chosen one shows yet.
 pub(crate) fn discovering<C: Ord + Copy>(
     all: &BTreeMap<SubmapId, &BTreeSet<C>>,
     least_cells: usize,
@@ -169,8 +170,8 @@ pub(crate) fn discovering<C: Ord + Copy>(
     }
 }
 
-/// Keeps submaps of the recording, too, that replace older ones in which something has changed: at least one each, so that
-/// there are not more in the end. The older ones are returned.
+/// Also keeps submaps of the recording that replace older ones in which something has changed. Each replaces
+/// at least one, so that the number of submaps does not grow. Returns the replaced ones.
 fn replace(
     graph: &PoseGraph<Space2d>,
     new: TrajectoryId,

@@ -1,9 +1,10 @@
-//! A 3D map renewed by a recording that was localised in it: what is gone fades, what is new appears, and the rest stays
-//! as it was.
+//! Renews a 3D map by a recording that was localised in it: objects that are gone fade, new ones appear, and
+//! the rest stays unchanged.
 //!
-//! As in 2D (`renewal.rs`): submaps of the recording stay if they show what the map did not know; what has changed in
-//! older ones is drawn into these, cell by cell; and older ones of which newer ones leave nearly nothing to be seen go. So
-//! nodes, submaps and constraints grow with the space that was seen, not with time.
+//! As in 2D (`renewal.rs`), submaps of the recording stay if they show what the map did not know. Changes
+//! are copied into older submaps, cell by cell. Older submaps that newer ones cover nearly completely are
+//! removed. So the number of nodes, submaps and constraints grows with the space that was seen, not with
+//! time.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -27,7 +28,7 @@ fn around([x, y, z]: Cell) -> impl Iterator<Item = Cell> {
     (-1..=1).flat_map(move |i| (-1..=1).flat_map(move |j| (-1..=1).map(move |k| [x + i, y + j, z + k])))
 }
 
-/// Renews a map by a trajectory of it; `before` is the map without this trajectory.
+/// Renews a map by one of its trajectories; `before` is the map without this trajectory.
 pub(crate) fn renew(
     graph: &mut PoseGraph<Space3d>,
     new: TrajectoryId,
@@ -53,7 +54,7 @@ pub(crate) fn renew(
     }
 }
 
-/// Draws what has changed into older submaps, and takes what is gone out of older scans.
+/// Copies changes into older submaps, and removes points that are gone from older scans.
 fn draw_changes(graph: &mut PoseGraph<Space3d>, new: TrajectoryId, changes: &ChangedVoxels) {
     if changes.is_empty() {
         return;
@@ -66,14 +67,14 @@ fn draw_changes(graph: &mut PoseGraph<Space3d>, new: TrajectoryId, changes: &Cha
     graph.forget_points_3d(new, &|point| changes.is_gone(point));
 }
 
-/// Cells of the map that scans contradict, from places some way apart.
+/// Cells of the map that scans contradict, from viewpoints some distance apart.
 fn changed_voxels(before: &KnownMap3d, sweeps: &[&KeptSweep]) -> ChangedVoxels {
     let mut counted = VoxelChanges::new(before.voxels.clone());
     sweeps.iter().for_each(|sweep| counted.add(&sweep.placed()));
     counted.changed()
 }
 
-/// What each submap of the trajectory shows that the map does not know.
+/// Cells unknown to the map that each submap of the trajectory shows.
 fn unknown(
     graph: &PoseGraph<Space3d>,
     new: TrajectoryId,

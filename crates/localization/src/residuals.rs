@@ -1,4 +1,5 @@
-//! What a scan in a map of planes tells of its pose, with the scale of its errors taken from its own residuals.
+//! Computes the information about the pose of a scan in a map of planes, with the scale of its errors
+//! estimated from its own residuals.
 
 use std::collections::BTreeMap;
 
@@ -10,10 +11,10 @@ use crate::belief::{Matrix6, Vector6};
 use crate::information::{along_surface, outer, positive};
 use crate::settings::matching::{ERROR_PATCH, NORMAL_VARIANCE, RANGE_NOISE, ROBUST_REACH, ROBUST_SCALE};
 
-/// What points that err together say.
+/// Contribution of points with a common error.
 #[derive(Clone, Copy, Debug)]
 struct Patch {
-    /// Derivative of the sum of squares by the pose.
+    /// Derivative of half the sum of squares by the pose.
     score: Vector6,
     curvature: Matrix6,
 }
@@ -24,19 +25,19 @@ impl Default for Patch {
     }
 }
 
-/// The points of a scan that lie on planes, at a pose where they were registered.
+/// The points of a scan that are on planes, at a pose to which they were registered.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Residuals {
     patches: BTreeMap<[i32; 3], Patch>,
     curvature: Matrix6,
-    /// What errors of normals feign of it.
+    /// Part of the curvature that is spurious because of errors of normals.
     spurious: Matrix6,
-    /// What scores scatter for the noise of ranges alone.
+    /// Scatter of the scores from range noise alone.
     noise: Matrix6,
 }
 
 impl Residuals {
-    /// Of points, metres, in the frame of the scan.
+    /// From points in the frame of the scan, metres.
     pub fn new(planes: &PlaneMap, points: &[Point3f], pose: &Rigid3) -> Self {
         let (map_from_scan, origin) = (to_f32(pose), pose.translation.vector.cast::<f32>());
         let mut all = Self::default();
@@ -49,7 +50,7 @@ impl Residuals {
         all
     }
 
-    /// A point in the map at a plane, and where it is from the scanner.
+    /// Adds a point in the map at a plane; `lever` is its position from the scanner.
     fn add(&mut self, place: &Point3f, lever: &na::Vector3<f32>, plane: &Plane) {
         let off = place.coords - plane.point;
         let residual = plane.normal.dot(&off);
@@ -70,8 +71,8 @@ impl Residuals {
         self.noise += (weight * f64::from(RANGE_NOISE)).powi(2) * along_normal;
     }
 
-    /// Inverse of the covariance of the pose: H M⁻¹ H, where H is how sharply the points hold it and M how much the scores of
-    /// patches scatter (White 1980, by clusters: Liang and Zeger 1986).
+    /// Inverse of the covariance of the pose: H M⁻¹ H, where H is the curvature without its spurious part,
+    /// and M the scatter of the scores of patches (White 1980, by clusters: Liang and Zeger 1986).
     pub fn information(&self) -> Matrix6 {
         let held = positive(&(self.curvature - self.spurious));
         let Some(covariance) = inverse_of(&self.curvature) else { return Matrix6::zeros() };
@@ -82,8 +83,8 @@ impl Residuals {
     }
 }
 
-/// Sum of the squares of scores. What holds the pose nearly alone has drawn it to itself: its score is what it would be had the
-/// pose been found without it (Bell and McCaffrey 2002).
+/// Sum of the squares of scores. A patch that constrains the pose nearly alone has pulled the pose to
+/// itself; its score is therefore taken as if the pose had been found without it (Bell and McCaffrey 2002).
 fn scatter<'a>(patches: impl Iterator<Item = &'a Patch>, covariance: &Matrix6) -> Matrix6 {
     let without_itself = |patch: &Patch| {
         let others = Matrix6::identity() - patch.curvature * covariance;
@@ -93,7 +94,7 @@ fn scatter<'a>(patches: impl Iterator<Item = &'a Patch>, covariance: &Matrix6) -
 }
 
 fn inverse_of(matrix: &Matrix6) -> Option<Matrix6> {
-    // So little that it changes nothing, and what is singular can be inverted.
+    // So small that it has no effect, but singular matrices can be inverted.
     let tiny = matrix.diagonal().map(|v| 1e-9 * v + 1e-12);
     (matrix + Matrix6::from_diagonal(&tiny)).try_inverse()
 }

@@ -1,4 +1,4 @@
-//! Places that the one that is believed has to go on beating.
+//! Other hypotheses with which the accepted place is compared while it is tracked.
 
 use portolan_geometry::Rigid3;
 
@@ -7,16 +7,17 @@ use crate::known_map::KnownMap;
 use crate::search::Searcher;
 use crate::settings::search::{BETTER_BY, BETTER_FIT, REFUTED_BY, RIVAL_LEAD, RIVAL_SCANS};
 
-/// A place where the scanner may be instead of where it is believed to be.
+/// Another hypothesis about the pose of the scanner.
 #[derive(Clone, Debug)]
 struct Rival {
     place: Hypothesis,
-    /// Where both were one place until a while ago: scans that were kept since.
+    /// Number of scans kept since this place and the accepted one separated; none if they were never the
+    /// same place.
     since: Option<usize>,
 }
 
 impl Rival {
-    /// By how much the believed place is better.
+    /// Lead in fit of the accepted place.
     fn behind(&self, believed: &Hypothesis) -> f64 {
         believed.lead_of_newest(&self.place, self.since.unwrap_or(usize::MAX))
     }
@@ -44,27 +45,28 @@ impl Rival {
     }
 }
 
-/// Hypotheses that were not refuted when another one was believed. They go along and are judged by the same scans.
+/// Hypotheses that were not refuted when another one was accepted. They are tracked too, and judged by the
+/// same scans.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Rivals(Vec<Rival>);
 
 impl Rivals {
-    /// What a search left beside the place that is believed.
+    /// The candidates besides the accepted place.
     pub fn of(places: Vec<Hypothesis>) -> Self {
         Self(places.into_iter().map(|place| Rival { place, since: None }).collect())
     }
 
-    /// Where the scanner would be, had it not jumped.
+    /// Adds the pose from which the accepted place slipped away.
     pub fn add_left(&mut self, place: Hypothesis) {
         self.0.push(Rival { place, since: Some(0) });
     }
 
-    /// Goes along with local SLAM.
+    /// Moves along with local SLAM.
     pub fn predict(&mut self, motion: &Rigid3, seconds: f64) {
         self.0.iter_mut().for_each(|rival| rival.place.predict(motion, seconds));
     }
 
-    /// Looks for a scan that is kept, and drops what it refutes.
+    /// Matches a scan that is kept, and drops hypotheses that it refutes.
     pub fn look<M: KnownMap>(
         &mut self,
         searcher: &Searcher<M>,
@@ -80,12 +82,12 @@ impl Rivals {
         self.0.retain(|rival| !rival.place.is_same_place(believed) && !rival.is_refuted(believed));
     }
 
-    /// Whether one of them says that the place is not known.
+    /// Whether one of them makes the accepted place uncertain.
     pub fn raise_doubt(&self, believed: &Hypothesis) -> bool {
         self.0.iter().any(|rival| rival.raises_doubt(believed))
     }
 
-    /// All of them, if one is better than what is believed.
+    /// All of them, if one is better than the accepted place.
     pub fn take_over(&self, believed: &Hypothesis) -> Option<Vec<Hypothesis>> {
         let is_beaten = self.0.iter().any(|rival| rival.is_better(believed));
         is_beaten.then(|| self.0.iter().map(|rival| rival.place.clone()).collect())
@@ -97,7 +99,7 @@ mod tests {
     use super::*;
     use crate::hypothesis::test_place;
 
-    /// A place along x that the scans fit so well, oldest first.
+    /// A place along x with these fits of scans, oldest first.
     #[test]
     fn a_place_that_was_left_is_a_rival_until_the_other_one_fits_and_leads() {
         let mut rivals = Rivals::default();

@@ -1,4 +1,4 @@
-//! A 2D scan as it is found in the map, and the joint cloud of several.
+//! A 2D scan in the form in which it is matched to the map, and the joint cloud of several.
 
 use portolan_geometry::{Point3f, Vector2, project_2d};
 use portolan_matching::{joint_cloud_2d, surface_tangents};
@@ -11,16 +11,16 @@ use crate::settings::scans::{MOST_JOINT_POINTS_2D, MOST_POINTS_2D, VOXEL_2D};
 /// A scan in its own level frame.
 #[derive(Clone, Debug)]
 pub struct Scan2d {
-    /// Some of its points, metres.
+    /// A part of its points, metres.
     pub cloud: PointCloud,
     /// The same without heights.
     pub points: Vec<Vector2>,
-    /// Which way the surface runs at each of them, where that is known.
+    /// Direction of the surface at each of them, where it is known.
     pub tangents: Vec<Option<Vector2>>,
 }
 
 impl Scan2d {
-    /// Of all returns in the order in which they were measured, in the level frame of the scanner.
+    /// From all returns in the order in which they were measured, in the level frame of the scanner.
     pub fn new(returns: &PointCloud) -> Self {
         let tangents = surface_tangents(returns);
         let kept = voxel_filter_indices(&returns.points, |p| *p, VOXEL_2D);
@@ -38,7 +38,7 @@ pub(crate) fn plane(p: &Point3f) -> Vector2 {
     Vector2::new(f64::from(p.x), f64::from(p.y))
 }
 
-/// Scans as one cloud in the frame of the newest.
+/// Several scans as one cloud in the frame of the newest.
 #[derive(Clone, Debug, Default)]
 pub struct JointScan2d {
     /// Metres, at height 0.
@@ -48,7 +48,7 @@ pub struct JointScan2d {
 }
 
 impl JointScan2d {
-    /// Of all kept scans.
+    /// From all kept scans.
     pub fn of(recent: &RecentScans<Scan2d>) -> Self {
         let scans = recent.seen_from_newest();
         let clouds = scans.map(|(newest_from_scan, scan)| (project_2d(&newest_from_scan), &scan.cloud));

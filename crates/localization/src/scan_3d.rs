@@ -1,4 +1,4 @@
-//! A 3D scan as it is found in the map, and the joint cloud of several.
+//! A 3D scan in the form in which it is matched to the map, and the joint cloud of several.
 
 use std::collections::BTreeMap;
 
@@ -17,14 +17,14 @@ use crate::settings::scans::{
 pub struct Scan3d {
     /// Points for registration, metres.
     pub points: Vec<Point3f>,
-    /// Points that judge a place.
+    /// Points by which a place is judged.
     pub judged: Vec<Point3f>,
-    /// All of them, thinned.
+    /// All points, thinned.
     pub thinned: Vec<Point3f>,
 }
 
 impl Scan3d {
-    /// Of all returns, in the level frame of the scanner.
+    /// From all returns, in the level frame of the scanner.
     pub fn new(returns: &PointCloud) -> Self {
         let thinned = voxel_filter_points(&returns.points, VOXEL_3D);
         let near: Vec<Point3f> = thinned.iter().filter(|p| p.coords.norm() < JUDGED_RANGE).copied().collect();
@@ -32,12 +32,12 @@ impl Scan3d {
     }
 }
 
-/// At most so many, evenly from all of them.
+/// At most this number of points, evenly taken from all.
 fn evenly(points: &[Point3f], most: usize) -> Vec<Point3f> {
     points.iter().step_by(points.len().div_ceil(most).max(1)).copied().collect()
 }
 
-/// As many of each height as possible.
+/// Chooses points evenly over heights.
 fn over_heights(points: &[Point3f]) -> Vec<Point3f> {
     let mut slices: BTreeMap<i32, Vec<Point3f>> = BTreeMap::new();
     for point in points {
@@ -55,19 +55,19 @@ fn over_heights(points: &[Point3f]) -> Vec<Point3f> {
     chosen
 }
 
-/// Scans as one cloud in the frame of the newest.
+/// Several scans as one cloud in the frame of the newest.
 #[derive(Clone, Debug)]
 pub struct JointScan3d {
     /// Points for registration, metres.
     pub points: Vec<Point3f>,
-    /// More of them.
+    /// A larger part of the points.
     pub thinned: Vec<Point3f>,
-    /// What stands upright, seen from above.
+    /// Upright structures, seen from above.
     pub columns: PointCloud,
 }
 
 impl JointScan3d {
-    /// Of all kept scans.
+    /// From all kept scans.
     pub fn of(recent: &RecentScans<Scan3d>) -> Self {
         let mut points: Vec<Point3f> = Vec::new();
         for (newest_from_scan, scan) in recent.seen_from_newest() {

@@ -1,4 +1,4 @@
-//! Places proposed by a search of the whole map, and when one of them is believed.
+//! Collects the places that searches of the whole map propose, and decides when one of them is accepted.
 
 use portolan_geometry::{Quaternion, Rigid3, Time, Vector3, normalize_angle, project_2d};
 use rayon::prelude::*;
@@ -13,20 +13,20 @@ use crate::settings::search::{
 };
 use crate::state::Reason;
 
-/// Where somebody says that the recording starts, or a satellite fix that it goes on.
+/// A start pose given by the user, or a position from a satellite fix.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct GivenStart {
     pub map_from_scan: Rigid3,
-    /// Standard deviations, metres and radians; the heading is not known where the latter is [`ANY_HEADING`].
+    /// Standard deviations, metres and radians; the latter is [`ANY_HEADING`] where the heading is unknown.
     pub sigmas: (f64, f64),
     pub local_from_scan: Rigid3,
 }
 
-/// Standard deviation of a heading of which nothing is known, radians.
+/// Standard deviation of an unknown heading, radians.
 pub(crate) const ANY_HEADING: f64 = std::f64::consts::PI;
 
 impl GivenStart {
-    /// That of a satellite fix, told while the scanner goes from one pose in the local map to another.
+    /// From a satellite fix between two poses in the local map, interpolated in time.
     pub fn of_fix(fix: &PositionFix, before: &TimedPose, now: &TimedPose) -> Self {
         let seconds = now.time.seconds_since(before.time);
         let share = if seconds > 0.0 { fix.time.seconds_since(before.time) / seconds } else { 1.0 };
@@ -39,23 +39,23 @@ impl GivenStart {
         }
     }
 
-    /// Where a scanner of which the heading is not known may be by now, within three standard deviations and the way that it
-    /// went since, at this pose in the local map.
+    /// Area where a scanner of unknown heading may be by now, at this pose in the local map: three standard
+    /// deviations plus the distance travelled since.
     pub fn area(&self, local_from_scan: &Rigid3) -> Area {
         let way = self.local_from_scan.translation.vector - local_from_scan.translation.vector;
         let centre = self.map_from_scan.translation.vector.xy();
         Area { centre, metres: WINDOW_SIGMAS * self.sigmas.0 + way.norm() }
     }
 
-    /// How well the start agrees with a place, 0 to 1.
+    /// Agreement of the start with a place, 0 to 1.
     pub fn agreement(&self, place: &Hypothesis, local_from_scan: &Rigid3) -> f64 {
         let map_from_local = place.belief.pose * local_from_scan.inverse();
         let start = map_from_local * self.local_from_scan;
-        // Who tells a start reads it off a picture: nobody knows heights.
+        // Users read starts off a picture, which shows no heights.
         let (start, told) = (project_2d(&start), project_2d(&self.map_from_scan));
         let metres = (start.translation - told.translation).norm() / self.sigmas.0;
         let radians = normalize_angle(start.angle - told.angle).abs() / self.sigmas.1;
-        // Three standard deviations are as good as one: people round.
+        // Three standard deviations are as good as one: users round.
         let beyond = (metres.hypot(radians) - WINDOW_SIGMAS).max(0.0);
         (-0.5 * beyond * beyond).exp()
     }
@@ -66,26 +66,26 @@ impl GivenStart {
 pub struct PositionFix {
     /// Its time.
     pub time: Time,
-    /// Where the scanner was in the map, metres; the height does not count.
+    /// Position of the scanner in the map, metres; the height is ignored.
     pub position: Vector3,
     /// Standard deviation along each horizontal axis, metres.
     pub sigma_metres: f64,
 }
 
-/// Where a scan was taken in the local map.
+/// Pose of a scan in the local map.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TimedPose {
     pub time: Time,
     pub local_from_scan: Rigid3,
 }
 
-/// What is believed of several places.
+/// Decision between several places.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Decision {
     Nothing,
-    /// This one is the most likely.
+    /// This place is the most likely.
     Tentative(usize, Reason),
-    /// This one is it.
+    /// This place is accepted.
     Believed(usize),
 }
 
@@ -95,17 +95,17 @@ pub(crate) struct Places {
     pub all: Vec<Hypothesis>,
     pub last_search: Option<Time>,
     searches: u32,
-    /// Why the best was not believed when the map was searched last.
+    /// Reason why the best place was not accepted at the last search.
     doubt: Option<Reason>,
     /// Whether a scan was kept since the last search.
     is_new: bool,
 }
 
-/// What is to be done at a scan.
+/// Whether the map has to be searched at a scan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Due {
     Nothing,
-    /// The map would be searched once more for what it was searched for before: that finds the same.
+    /// The search would repeat the last one and find the same, so it only counts as made.
     Repetition,
     Search,
 }
@@ -133,7 +133,7 @@ impl<M: KnownMap> Searcher<M> {
         found
     }
 
-    /// Looks for a scan at all places.
+    /// Matches a scan at all places.
     pub fn look<'a>(&self, places: impl Iterator<Item = &'a mut Hypothesis>, scan: &M::Scan) {
         let places: Vec<&mut Hypothesis> = places.collect();
         self.pool.install(|| places.into_par_iter().for_each(|place| place.look(&self.map, scan)));
@@ -141,12 +141,13 @@ impl<M: KnownMap> Searcher<M> {
 }
 
 impl Places {
-    /// All that fits anywhere, after as many searches as it takes.
+    /// All places that fit anywhere, as after enough searches for a decision.
     pub fn of_complete_search(all: Vec<Hypothesis>) -> Self {
         Self { all, searches: CONFIRMING_SEARCHES, ..Self::default() }
     }
 
-    /// Whether it is time to search the whole map once more, where searches are at most so many seconds apart.
+    /// Whether the whole map is to be searched again; `longest_pause` is the longest pause between searches,
+    /// seconds.
     pub fn due(&mut self, time: Time, is_new: bool, longest_pause: f64) -> Due {
         self.is_new |= is_new;
         let Some(last) = self.last_search else { return Due::Search };
@@ -159,7 +160,7 @@ impl Places {
         }
     }
 
-    /// Takes in what a search proposed.
+    /// Merges the proposals of a search.
     pub fn merge(&mut self, proposed: Vec<Hypothesis>, time: Time) {
         (self.last_search, self.is_new) = (Some(time), false);
         self.searches += 1;
@@ -172,7 +173,7 @@ impl Places {
         }
     }
 
-    /// Drops places that have become one, and those that are refuted by the best.
+    /// Drops places that have become the same, and places that are refuted by the best.
     pub fn prune(&mut self) {
         self.all.sort_by(|a, b| b.fit().total_cmp(&a.fit()));
         let mut kept: Vec<Hypothesis> = Vec::new();
@@ -185,7 +186,8 @@ impl Places {
         self.all = kept;
     }
 
-    /// Which place is believed, if a search was made just now: only then it is known that nothing else fits.
+    /// Decides on a place. A place is accepted only right after a search: only then is it known that nothing
+    /// else fits.
     pub fn decide(&mut self, judge: &Judge, was_searched: bool) -> Decision {
         let rated =
             self.all.iter().enumerate().map(|(i, place)| (i, place, place.fit() + judge.bonus(place)));
@@ -215,13 +217,13 @@ impl Places {
     }
 }
 
-/// What places are judged by, besides how well they fit.
+/// Criteria for places besides their fit.
 pub(crate) struct Judge<'a> {
-    /// Way and turn over which scans were kept, metres and radians.
+    /// Distance and rotation over which scans were kept, metres and radians.
     pub motion: (f64, f64),
-    /// How well a place agrees with where the recording was told to be, 0 to 1.
+    /// Agreement of a place with the given start or satellite fix, 0 to 1.
     pub told: &'a dyn Fn(&Hypothesis) -> f64,
-    /// By how many standard deviations what was seen speaks for the first of two places.
+    /// Evidence for the first of two places from the scans, in standard deviations.
     pub evidence: &'a dyn Fn(&Hypothesis, &Hypothesis) -> f64,
 }
 
@@ -230,7 +232,8 @@ impl Judge<'_> {
         GIVEN_START_FIT * (self.told)(place)
     }
 
-    /// Whether one place is believed rather than another one. What somebody told is as good as what has to be seen.
+    /// Whether one place is preferred to another one with enough evidence. Full agreement with the given
+    /// start counts as much as all the evidence required from scans.
     fn speaks_for(&self, place: &Hypothesis, other: &Hypothesis) -> bool {
         let told = (self.told)(place) - (self.told)(other);
         (self.evidence)(place, other) + BELIEVED_SIGMAS * told >= BELIEVED_SIGMAS

@@ -1,4 +1,4 @@
-//! What is known of the place, and why.
+//! State of localisation after a scan, and the reason for it.
 
 use std::fmt;
 
@@ -9,7 +9,7 @@ use portolan_mapping::Placement;
 
 use crate::belief::Matrix6;
 
-/// What is known of the place.
+/// How certain the place is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum State {
     /// Nothing fits yet.
@@ -18,14 +18,14 @@ pub enum State {
     Tentative,
     /// The place is known.
     Localised,
-    /// It was known, and nothing says so any more for a moment.
+    /// The place was known, but scans do not confirm it at the moment.
     Uncertain,
-    /// It was known, and scans say that it is not.
+    /// The place was known, but was given up; [`Estimate::reason`] gives the reason.
     Lost,
 }
 
 impl State {
-    /// All of them, in the order of a life.
+    /// All of them, in the usual order.
     pub const ALL: [Self; 5] =
         [Self::Searching, Self::Tentative, Self::Localised, Self::Uncertain, Self::Lost];
 
@@ -54,19 +54,19 @@ pub enum Reason {
     NoPlaceFits,
     /// Several places fit about as well.
     SeveralPlacesFit,
-    /// One place fits, but too little was seen on the way to be sure.
+    /// One place fits, but too little was seen along the path to accept it.
     TooLittleSeen,
     /// Scans fit the map.
     ScansFit,
     /// Scans contradict the map.
     ScansContradict,
-    /// The map knows nothing of what the scans see.
+    /// The map is unknown where the scans see.
     OutsideTheMap,
-    /// Something hides the place from the scanner: it is carried along by local SLAM.
+    /// Something hides the surroundings from the scanner: local SLAM alone predicts the pose.
     PlaceHidden,
     /// Another place fits better.
     AnotherPlaceFitsBetter,
-    /// Local SLAM lost its own way, so that nothing tells how far the scanner went.
+    /// Local SLAM lost track, so that the motion of the scanner is unmeasured.
     LocalMapLost,
 }
 
@@ -105,10 +105,10 @@ impl Reason {
 pub struct Place {
     /// Pose of the tracking frame in the map.
     pub map_from_tracking: Rigid3,
-    /// Covariance of the pose in the map: x, y, z and a small rotation about these axes (the last about z: yaw), metres
-    /// and radians. In 2D nothing is said of z and of tilts.
+    /// Covariance of the pose in the map: x, y, z and a small rotation about these axes (the last about z:
+    /// yaw), metres and radians. In 2D its entries for z and tilts have no meaning.
     pub covariance: Matrix6,
-    /// What the map says to the scan there: shares of its beams.
+    /// Agreement of the map with the scan at this pose: fractions of its beams.
     pub agreement: ScanAgreement,
 }
 
@@ -120,23 +120,23 @@ impl Place {
     }
 }
 
-/// What is known after one scan.
+/// Result of localisation after one scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
     /// Time of the scan.
     pub time: Time,
-    /// What is known of the place.
+    /// How certain the place is.
     pub state: State,
-    /// Why.
+    /// Reason for the state.
     pub reason: Reason,
-    /// Pose of the tracking frame in the local map: smooth, but for its jumps where local SLAM lost its way.
+    /// Pose of the tracking frame in the local map: smooth, except for jumps where local SLAM lost track.
     pub local_from_tracking: Rigid3,
-    /// The place; the most likely one where the state is tentative, none while there is none.
+    /// The place; the most likely one where the state is tentative; none where there is no candidate.
     pub place: Option<Place>,
 }
 
 impl Estimate {
-    /// That of a frame near the map, in the map.
+    /// Converts an estimate from a frame near the map to the map.
     pub fn in_map(mut self, frame: &NearFrame) -> Self {
         if let Some(place) = &mut self.place {
             place.map_from_tracking = frame.in_map(&place.map_from_tracking);
@@ -144,7 +144,8 @@ impl Estimate {
         self
     }
 
-    /// What a node of this scan is worth for the map, where places are certain to a standard deviation of so many metres.
+    /// How a node of this scan may be used in the map: found, if its position has at most the standard
+    /// deviation `certain`, metres; carried along otherwise.
     pub(crate) fn placement(&self, certain: f64) -> Placement {
         let Some(place) = self.place.filter(|_| self.state == State::Localised) else {
             return Placement::Unknown;

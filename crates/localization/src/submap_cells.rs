@@ -1,4 +1,4 @@
-//! The fine cells of the submaps of a 3D map, where the pose graph puts them.
+//! Places the fine cells of the submaps of a 3D map at their poses in the pose graph.
 
 use portolan_geometry::{Point3f, to_f32};
 use portolan_mapping::{GraphState, Space3d, SubmapEntry};
@@ -6,9 +6,9 @@ use portolan_mapping::{GraphState, Space3d, SubmapEntry};
 /// A submap and its fine cells.
 pub(crate) struct SubmapCells<'a> {
     pub entry: &'a SubmapEntry<Space3d>,
-    /// Where the submap lies, metres in the map.
+    /// Position of the submap, metres in the map.
     pub origin: Point3f,
-    /// Centres of its known cells, metres in the map, and how likely each is solid.
+    /// Centres of its known cells, metres in the map, and their probabilities of being solid.
     pub cells: Vec<(Point3f, f32)>,
 }
 

@@ -1,5 +1,5 @@
-//! Which scans of a recording are believed to have been where they were localised, once all of it is known: what is added to
-//! a map stays there.
+//! Selects, once the whole recording is known, the scans whose localisation is trusted: what is added to a
+//! map stays there.
 
 use portolan_geometry::{Duration, Time};
 
@@ -12,15 +12,16 @@ use crate::state::{Estimate, Reason, State};
 /// Why a run of localised scans ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum End {
-    /// Nothing spoke against it.
+    /// There was no sign that its end was wrong.
     Undisputed,
-    /// Scans from this long before its end are doubted, seconds.
+    /// Scans within this time before its end are not trusted, seconds.
     Doubted(f64),
-    /// All of it is.
+    /// The whole run is rejected.
     Refuted,
 }
 
-/// Times between which scans were localised without a doubt that came up soon after, in order.
+/// Time spans, in order, of trusted localised scans: those that no contradiction soon after calls into
+/// question.
 pub(crate) fn trusted_spans(estimates: &[Estimate]) -> Vec<(Time, Time)> {
     let is_localised = |e: &Estimate| e.state == State::Localised;
     let mut spans: Vec<(Time, Time)> = Vec::new();
@@ -43,7 +44,7 @@ fn is_jump(a: &Estimate, b: &Estimate) -> bool {
     (in_map.translation.vector - in_local.translation.vector).norm() > MOST_TRUSTED_STEP
 }
 
-/// Why a run ended that these scans came after.
+/// Reason why a run ended, from the scans after it.
 fn end_of(after: &[Estimate]) -> End {
     let Some(doubt) = after.first() else { return End::Undisputed };
     let next = after.iter().find(|e| e.state != State::Uncertain).unwrap_or(doubt);
@@ -51,14 +52,14 @@ fn end_of(after: &[Estimate]) -> End {
         (State::Lost, Reason::AnotherPlaceFitsBetter) => End::Refuted,
         (State::Lost, Reason::OutsideTheMap | Reason::PlaceHidden) => End::Undisputed,
         (State::Lost, _) => End::Doubted(DOUBTED_BEFORE_LOSS),
-        // It jumped.
+        // The place jumped.
         _ if doubt.state == State::Localised => End::Doubted(DOUBTED_BEFORE_LOSS),
         _ if matches!(doubt.reason, Reason::OutsideTheMap | Reason::PlaceHidden) => End::Undisputed,
         _ => End::Doubted(DOUBTED_BEFORE_DOUBT),
     }
 }
 
-/// The believed part of a run of localised scans.
+/// The trusted part of a run of localised scans.
 fn trusted(run: &[Estimate], end: End) -> Option<(Time, Time)> {
     let last = run.last()?.time;
     let kept: &[Estimate] = match end {

@@ -1,5 +1,5 @@
-//! Where a recording contradicts a 3D map: cells in which scans of known places end or pass otherwise than the map
-//! says.
+//! Finds where a recording contradicts a 3D map: cells in which beams of localised scans end or pass
+//! contrary to the map.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -25,23 +25,23 @@ use crate::settings::changes::{
 use crate::settings::maps::{FREE_BEAM_CLEARANCE, OCCUPANCY_CELL};
 use crate::settings::scans::NEW_VIEW_RADIANS;
 
-/// All cells that beams reach, and those beside, are near the scanner.
+/// All cells that beams reach, with two cells around, fit into the set of near cells.
 const _: () = assert!((CHANGE_RANGE_3D / OCCUPANCY_CELL) as i32 + 1 + 2 <= NearCells::REACH);
 
-/// A scan that is kept until the recording ends, because nodes of 3D keep too few points to tell what has changed.
+/// A scan that is kept until the recording ends, because 3D nodes keep too few points to find changes.
 #[derive(Clone, Debug)]
 pub struct KeptSweep {
     pub(crate) time: Time,
-    /// Where it was taken.
+    /// Pose of the scan in the map.
     pub(crate) map_from_tracking: Rigid3,
     /// Where its beams begin, in the tracking frame.
     origin: Point3f,
-    /// Returns in the tracking frame, thinned; those beyond the range that counts are drawn nearer along their beams.
+    /// Returns in the tracking frame, thinned; longer beams are cut to the range that counts.
     returns: Vec<Point3f>,
 }
 
 impl KeptSweep {
-    /// Of a scan that was localised at a place of the map.
+    /// From a scan that was localised at this pose in the map.
     pub(crate) fn new(scan: &LocalScan, map_from_tracking: &Rigid3) -> Self {
         let tracking_from_local = to_f32(&scan.local_from_tracking.inverse());
         let origin = tracking_from_local * scan.origin;
@@ -59,14 +59,14 @@ impl KeptSweep {
         }
     }
 
-    /// Whether another one would show the same.
+    /// Whether another scan at this pose would show the same view.
     pub(crate) fn is_like(&self, map_from_tracking: &Rigid3) -> bool {
         let way = self.map_from_tracking.translation.vector - map_from_tracking.translation.vector;
         way.norm() < KEPT_SWEEP_METRES
             && self.map_from_tracking.rotation.angle_to(&map_from_tracking.rotation) < NEW_VIEW_RADIANS
     }
 
-    /// As it is compared with the map.
+    /// The sweep in the form in which it is compared with the map.
     pub(crate) fn placed(&self) -> PlacedScan<'_> {
         let origin = self.map_from_tracking * self.origin.cast::<f64>();
         PlacedScan {
@@ -78,12 +78,12 @@ impl KeptSweep {
     }
 }
 
-/// A cell and those as near to it as two cells: places of real drives are off by as much.
+/// A cell and those up to two cells away along each axis: poses of real drives are off by as much.
 fn near([x, y, z]: VoxelIndex) -> impl Iterator<Item = VoxelIndex> {
     (-2..=2).flat_map(move |i| (-2..=2).flat_map(move |j| (-2..=2).map(move |k| [x + i, y + j, z + k])))
 }
 
-/// What a map says of the cells in which contradictions are counted.
+/// State of the map in the cells in which contradictions are counted.
 pub(crate) struct KnownVoxels {
     occupancy: Arc<Occupancy>,
     planes: Arc<PlaneMap>,
@@ -92,10 +92,10 @@ pub(crate) struct KnownVoxels {
 }
 
 impl KnownVoxels {
-    /// Of a map, with the scans that it keeps.
+    /// From a map and the scans that it keeps.
     ///
     /// # Errors
-    /// If there is no such grid.
+    /// If the grid cannot be made.
     pub fn new(
         occupancy: &Arc<Occupancy>,
         planes: &Arc<PlaneMap>,
@@ -113,26 +113,27 @@ impl KnownVoxels {
         Ok(Self { occupancy: Arc::clone(occupancy), planes: Arc::clone(planes), ends })
     }
 
-    /// Whether a cell is free, and nothing was ever seen in it or near it.
+    /// Whether a cell is free, and no scan of the map ended in it or near it.
     fn is_open(&self, cell: VoxelIndex) -> bool {
         self.occupancy.is_free_cell(cell)
             && !near(cell).any(|cell| self.occupancy.is_solid(cell) || self.ends.is_known(cell))
     }
 
-    /// Whether a beam goes through the surface at a point, and not along it.
+    /// Whether a beam passes through the surface at a point, and not along it.
     fn is_steep(&self, point: &Point3f, direction: &nalgebra::Vector3<f32>) -> bool {
         self.planes.plane_near(point).is_none_or(|plane| plane.normal.dot(direction).abs() > STEEP_SINE)
     }
 }
 
-/// What scans said of a cell.
+/// Counts of scans in a cell.
 #[derive(Clone, Copy, Debug)]
 struct Voxel {
     kind: ChangeKind,
-    /// Scans with a point in the cell, of a solid one also near it, and scans with beams through it and no point there.
+    /// Scans with a point in the cell (near it, too, if it is solid), and scans with beams through it and no
+    /// point there.
     hits: u16,
     passes: u16,
-    /// Of what contradicts the map.
+    /// Sightings by contradicting scans.
     seen: Option<VoxelSightings>,
 }
 
@@ -170,26 +171,26 @@ impl Voxel {
     }
 }
 
-/// Counts contradictions of scans whose places are known. Takes no more memory than the map.
+/// Counts contradictions of localised scans. Takes no more memory than the map.
 pub(crate) struct VoxelChanges {
     map: Arc<KnownVoxels>,
     voxels: BTreeMap<VoxelIndex, Voxel>,
 }
 
 impl VoxelChanges {
-    /// Nothing has contradicted the map.
+    /// Starts with no contradictions.
     pub fn new(map: Arc<KnownVoxels>) -> Self {
         Self { map, voxels: BTreeMap::new() }
     }
 
-    /// Cells that have changed, without those of regions that are too small to be told.
+    /// Cells that have changed, without those of regions that are too small to be reported.
     pub fn changed(&self) -> ChangedVoxels {
         let all = self.regions().into_iter();
         let kinds = all.flat_map(|(kind, cells)| cells.into_iter().map(move |cell| (cell, kind)));
         ChangedVoxels { map: Arc::clone(&self.map), kinds: kinds.collect() }
     }
 
-    /// Cells of one kind that touch each other, at corners at least.
+    /// Regions of changed cells of one kind that touch each other, at corners at least.
     fn regions(&self) -> Vec<(ChangeKind, BTreeSet<VoxelIndex>)> {
         let mut found = Vec::new();
         for kind in [ChangeKind::Appeared, ChangeKind::Gone] {
@@ -212,7 +213,7 @@ impl VoxelChanges {
         found
     }
 
-    /// A region as it is told: its outline from above, and its heights.
+    /// Converts a region for the report: its outlines from above, and its heights.
     fn told(&self, kind: ChangeKind, cells: &BTreeSet<VoxelIndex>) -> Vec<Change> {
         let from_to = |of: fn(&VoxelIndex) -> i32| {
             let along = || cells.iter().map(of);
@@ -244,7 +245,7 @@ impl VoxelChanges {
 }
 
 impl VoxelChanges {
-    /// Counts the ends of beams; the cells of which they leave nothing more to tell.
+    /// Counts the ends of beams; returns the cells in which passing beams then no longer count.
     fn count_ends(&mut self, scan: &PlacedScan, ends: &NearCells) -> NearCells {
         let map = Arc::clone(&self.map);
         for cell in ends.iter().filter(|cell| map.is_open(*cell)) {
@@ -252,7 +253,7 @@ impl VoxelChanges {
             voxel.hits = voxel.hits.saturating_add(1);
             voxel.note_sighting(scan);
         }
-        // A point near a cell that was solid is of what was there.
+        // A point near a cell that was solid counts as a hit of this cell.
         let beside = ends.with_two_around();
         for cell in beside.iter().filter(|cell| map.occupancy.is_solid(*cell)) {
             let voxel = self.voxels.entry(cell).or_insert(Voxel::new(ChangeKind::Gone));
@@ -261,7 +262,8 @@ impl VoxelChanges {
         beside
     }
 
-    /// Cells through which beams pass, each once, with what that contradicts. Cells that are `decided` are not looked at.
+    /// Cells through which beams pass, each once, with the kind of change that this contradicts or supports.
+    /// `decided` cells are skipped.
     fn passed(
         &self,
         points: &[Point3f],
@@ -330,19 +332,19 @@ impl ChangedVoxels {
         self.kinds.is_empty()
     }
 
-    /// What has become of a point of the map.
+    /// Kind of change at a point of the map.
     pub fn at(&self, point: &Point3f) -> Option<ChangeKind> {
         self.kinds.get(&self.map.occupancy.cell(point)?).copied()
     }
 
-    /// Whether something is gone at a point of the map, or right beside it where nothing else is.
+    /// Whether an object is gone at a point of the map, or right beside it if its own cell is not solid.
     pub fn is_gone(&self, point: &Point3f) -> bool {
         let is_gone = |cell: VoxelIndex| self.kinds.get(&cell) == Some(&ChangeKind::Gone);
         let Some(cell) = self.map.occupancy.cell(point) else { return false };
         is_gone(cell) || (!self.map.occupancy.is_solid(cell) && around(cell).any(is_gone))
     }
 
-    /// Square metres, seen from above, that changed so.
+    /// Area of the changes of a kind, seen from above, square metres.
     pub fn area(&self, kind: ChangeKind) -> f64 {
         let cells = self.kinds.iter().filter(|(_, of_cell)| **of_cell == kind);
         let columns: BTreeSet<(i32, i32)> = cells.map(|([x, y, _], _)| (*x, *y)).collect();

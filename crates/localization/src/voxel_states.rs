@@ -1,4 +1,4 @@
-//! What is known of voxels, two bits each, in blocks of 8×8×8 cells.
+//! Stores the states of voxels with two bits each, in blocks of 8×8×8 cells.
 
 use portolan_grids::{MAX_VOXEL_INDEX, VoxelIndex};
 use portolan_spatial::DenseIndex;
@@ -8,7 +8,7 @@ const EDGE_BITS: u32 = 3;
 /// No block has this key.
 const NO_KEY: u64 = u64::MAX;
 
-/// What is known of a cell.
+/// State of a known cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum VoxelState {
     Solid,
@@ -27,7 +27,7 @@ struct Layer {
     free: u64,
 }
 
-/// States of cells; those never set have none.
+/// States of cells; cells that were never set have none.
 #[derive(Debug)]
 pub(crate) struct VoxelStates {
     index: DenseIndex,
@@ -37,12 +37,12 @@ pub(crate) struct VoxelStates {
 }
 
 impl VoxelStates {
-    /// Nothing is known.
+    /// No cell has a state.
     pub fn new() -> Self {
         Self { index: DenseIndex::with_capacity(0), blocks: Vec::new(), recent: (NO_KEY, 0) }
     }
 
-    /// What is known of a cell.
+    /// State of a cell, if known.
     #[inline]
     pub fn get(&self, cell: VoxelIndex) -> Option<VoxelState> {
         let (_, block) = self.blocks.get(self.index.get(key(cell)?)?)?;
@@ -55,7 +55,7 @@ impl VoxelStates {
         }
     }
 
-    /// Sets the state of a cell of which nothing is known yet.
+    /// Sets the state of a cell that has none yet.
     #[inline]
     pub fn learn(&mut self, cell: VoxelIndex, state: VoxelState) {
         let Some(number) = self.block_of(cell) else { return };
@@ -68,7 +68,7 @@ impl VoxelStates {
         }
     }
 
-    /// Hands on all solid cells, block by block in the order in which these became known.
+    /// Visits all solid cells, block by block in the order in which the blocks were made.
     pub fn for_each_solid(&self, mut visit: impl FnMut(VoxelIndex)) {
         for ([x, y, z], block) in &self.blocks {
             for (height, layer) in (0..).zip(block.layers) {
@@ -79,7 +79,7 @@ impl VoxelStates {
         }
     }
 
-    /// The number of the block around a cell, which is made if there is none; none for cells that cannot be.
+    /// The number of the block around a cell, which is made if there is none; none for cells out of range.
     #[inline]
     fn block_of(&mut self, cell: VoxelIndex) -> Option<usize> {
         let key = key(cell)?;
@@ -95,7 +95,7 @@ impl VoxelStates {
     }
 }
 
-/// The key of the block around a cell; none for cells that cannot be.
+/// The key of the block around a cell; none for cells out of range.
 #[inline]
 fn key([x, y, z]: VoxelIndex) -> Option<u64> {
     let is_possible = |i: i32| (-MAX_VOXEL_INDEX..MAX_VOXEL_INDEX).contains(&i);

@@ -1,4 +1,4 @@
-//! Where the pose graph works: behind the mapper, in the order in which work was given.
+//! Runs the pose graph behind the mapper, in the order in which work was enqueued.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,7 +13,7 @@ use portolan_optimization::OptimizationSummary;
 
 use crate::{PoseGraph, SearchCounts, Space};
 
-/// Why mapping cannot go on.
+/// Error that ends mapping.
 #[derive(Debug, thiserror::Error)]
 pub enum MapperError {
     /// Threads could not be started.
@@ -30,7 +30,7 @@ pub enum MapperError {
     NoSuchTrajectory(crate::TrajectoryId),
 }
 
-/// How far the pose graph is.
+/// Progress of the pose graph.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BackendProgress {
     /// Nodes in the graph.
@@ -43,9 +43,9 @@ pub struct BackendProgress {
     pub searches: SearchCounts,
     /// Optimisations so far.
     pub optimizations: u64,
-    /// How the last one went.
+    /// Result of the last one.
     pub last_optimization: OptimizationSummary,
-    /// Pieces of work that wait.
+    /// Number of waiting tasks.
     pub backlog: usize,
 }
 
@@ -56,7 +56,7 @@ struct Shared {
     progress: Mutex<BackendProgress>,
 }
 
-/// How often somebody who waits for the end is told how far it is.
+/// Interval at which a caller that waits for the end gets the progress.
 const WATCH: Duration = Duration::from_millis(20);
 
 impl Shared {
@@ -79,12 +79,12 @@ impl Shared {
 pub struct Backend<S: Space> {
     place: Place<S>,
     shared: Arc<Shared>,
-    /// Work that goes along with the next that is enqueued.
+    /// Small tasks that run with the next one enqueued.
     along: Vec<Work<S>>,
 }
 
-/// Work that waits at most for more: an IMU brings hundreds a second, and waking a thread for each would
-/// take longer than the work.
+/// Maximum number of small tasks that wait for the next one: an IMU brings hundreds a second, and waking a
+/// thread for each would take longer than the work.
 const MAX_ALONG: usize = 256;
 
 enum Place<S: Space> {
@@ -93,7 +93,7 @@ enum Place<S: Space> {
 }
 
 impl<S: Space> Backend<S> {
-    /// Takes the graph to where it will work. `threads` is the number used for searching.
+    /// Moves the graph to the thread on which it will run. `threads` is the number used for searching.
     ///
     /// # Errors
     /// If threads cannot be started.
@@ -120,7 +120,8 @@ impl<S: Space> Backend<S> {
         let handle = std::thread::Builder::new()
             .name("pose-graph".to_owned())
             .spawn(move || {
-                // One of the threads for searching: to wake another one for each node takes longer than its work.
+                // This is also one of the threads for searching: waking another one for each node takes
+                // longer than its work.
                 let pool = pool().use_current_thread().build();
                 let _ = started.send(pool.as_ref().map(|_| ()).map_err(failed_to_start));
                 let Ok(pool) = pool else { return graph };
@@ -138,7 +139,7 @@ impl<S: Space> Backend<S> {
         Ok(Self { place, shared, along: Vec::new() })
     }
 
-    /// Gives work; it is done later, in order.
+    /// Enqueues work; it is done later, in order.
     ///
     /// # Errors
     /// If the pose graph has stopped because of an internal fault.
@@ -169,7 +170,7 @@ impl<S: Space> Backend<S> {
         }
     }
 
-    /// Gives work of microseconds; it is done in its turn, with the next work that is enqueued.
+    /// Enqueues work of microseconds; it is done in order, with the next work that is enqueued.
     ///
     /// # Errors
     /// As for [`Self::enqueue`].
@@ -184,7 +185,7 @@ impl<S: Space> Backend<S> {
         if self.along.len() >= MAX_ALONG { self.enqueue(|_| {}) } else { Ok(()) }
     }
 
-    /// Does work after everything given before, and waits for its answer.
+    /// Runs work after everything enqueued before, and waits for its result.
     ///
     /// # Errors
     /// As for [`Self::enqueue`].
@@ -194,13 +195,13 @@ impl<S: Space> Backend<S> {
     ) -> Result<R, MapperError> {
         let (sender, receiver) = bounded(1);
         self.enqueue(move |graph| {
-            // Nobody listens only when the caller is gone.
+            // Sending fails only when the caller is gone.
             let _ = sender.send(work(graph));
         })?;
         receiver.recv().map_err(|_| MapperError::PoseGraphStopped)
     }
 
-    /// Waits until at most `limit` pieces of work wait, at most `longest`.
+    /// Waits until at most `limit` tasks are waiting, or `longest` has passed.
     pub fn wait_for_backlog(&self, limit: usize, longest: Duration) {
         let start = Instant::now();
         while self.shared.backlog.load(Ordering::Acquire) > limit && start.elapsed() < longest {
@@ -213,12 +214,13 @@ impl<S: Space> Backend<S> {
         }
     }
 
-    /// How far it is.
+    /// Progress.
     pub fn progress(&self) -> BackendProgress {
         self.shared.progress()
     }
 
-    /// Finishes all work, this as the last, and gives the graph back. Meanwhile `watch` is called now and then.
+    /// Finishes all work, with `last` at the end, and returns the graph. Meanwhile `watch` is called now and
+    /// then.
     ///
     /// # Errors
     /// If the pose graph has stopped because of an internal fault.

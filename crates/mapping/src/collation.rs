@@ -1,5 +1,5 @@
-//! Which measurements wait for others, and which go straight through (`slam2d.md` §2); and which come too long before the first scan to
-//! tell anything of the map.
+//! Orders measurements of several sensors in time: which wait for others, and which pass at once (`slam2d.md`
+//! §2). Drops those that come too long before the first scan to be of use for the map.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -10,18 +10,18 @@ use portolan_sensor::{Collator, CollatorOptions, Measurement, SensorId, SensorKi
 
 use crate::TrajectoryId;
 
-/// A measurement whose turn has come.
+/// A measurement that is next in order of time.
 pub type Ready = (TrajectoryId, SensorId, Measurement);
 
-/// What was measured longer before the first scan is left out: an IMU that runs for days until the lidar is switched on must not fill
-/// the memory, and gravity is known after ten time constants of ten seconds at most.
+/// Maximum age of measurements before the first scan: an IMU that runs for days until the lidar is switched
+/// on must not fill the memory, and gravity is known after at most ten time constants of ten seconds.
 const LONGEST_BEFORE_SCANS: Duration = Duration::from_ticks(1_000_000_000);
 
 /// Orders the sensors of all trajectories in time.
 pub struct SensorCollation {
     collator: Collator<Measurement>,
     uncollated: BTreeMap<TrajectoryId, BTreeSet<SensorKind>>,
-    /// What was measured before the first scan, of trajectories that have none yet.
+    /// Measurements before the first scan, of trajectories that have none yet.
     before_scans: BTreeMap<TrajectoryId, VecDeque<Ready>>,
     left_out: u64,
 }
@@ -58,7 +58,7 @@ impl SensorCollation {
         self.before_scans.insert(id, VecDeque::new());
     }
 
-    /// Takes a measurement and gives all whose turn has come.
+    /// Adds a measurement and returns all that are next in order.
     pub fn add(&mut self, id: TrajectoryId, sensor_id: &SensorId, measurement: Measurement) -> Vec<Ready> {
         let passes = self.uncollated.get(&id).is_some_and(|kinds| kinds.contains(&sensor_id.kind));
         if passes {
@@ -68,7 +68,7 @@ impl SensorCollation {
         self.drain()
     }
 
-    /// Ends a trajectory: nothing waits for its sensors any more.
+    /// Ends a trajectory: no measurement waits for its sensors any more.
     pub fn finish_trajectory(&mut self, id: TrajectoryId) -> Vec<Ready> {
         self.collator.finish_trajectory(id.0);
         let mut ready = self.drain();
@@ -84,7 +84,7 @@ impl SensorCollation {
         self.since_first_scan(ready)
     }
 
-    /// Holds back what comes before the first scan of its trajectory, and gives it with that.
+    /// Holds back measurements before the first scan of their trajectory, and releases them with that scan.
     fn since_first_scan(&mut self, measured: Vec<Ready>) -> Vec<Ready> {
         let mut ready = Vec::with_capacity(measured.len());
         for (id, sensor, measurement) in measured {
@@ -105,7 +105,7 @@ impl SensorCollation {
         ready
     }
 
-    /// What was dropped so far.
+    /// Counts of dropped measurements so far.
     pub fn issues(&self) -> IssueLog {
         let mut issues = IssueLog::default();
         for counts in self.collator.counts().values() {
@@ -133,7 +133,7 @@ mod tests {
         let mut collation = SensorCollation::new(false);
         let options = Options::for_3d().trajectory_builder;
         let id = TrajectoryId(0);
-        // The lidar is not expected: nothing waits for its first scan but what is held back here.
+        // The lidar is not expected: only this hold-back waits for its first scan.
         collation.add_trajectory(id, &BTreeSet::from([imu.clone()]), &options);
         let at = |seconds: f64| Time::from_ticks(0) + Duration::from_seconds(seconds);
         let sample = |seconds: f64| {

@@ -1,4 +1,4 @@
-//! What stands upright in a 3D map, seen from above: an index of places.
+//! Place index of a 3D map: vertical structures projected onto the ground plane.
 
 use std::collections::BTreeMap;
 
@@ -14,23 +14,28 @@ use thiserror::Error;
 
 use crate::ProposedPlaces;
 
-/// Edge of the columns that stand upright, metres, and the height of their slices.
+/// Edge of a column, metres.
 const COLUMN: f32 = 0.3;
+/// Height of the slices of a column, metres.
 const COLUMN_SLICE: f32 = 0.2;
-/// A column of the map stands if so many of its slices are solid, of a sparse scan if so many hold a point.
+/// Minimum number of occupied slices of an upright column of the map.
 const UPRIGHT_IN_MAP: usize = 3;
+/// Minimum number of slices with a point of an upright column of sparse scans.
 const UPRIGHT_IN_SCANS: usize = 2;
-/// Columns of scans are thinned to voxels of this edge, metres, and to so many.
+/// Edge of the voxels to which columns of scans are thinned, metres.
 const THINNED: f32 = 0.2;
+/// Maximum number of columns of scans.
 const MOST_COLUMNS: usize = 320;
-/// Cells of the picture from above, at most: 1.2 km by 1.2 km; maps farther across get larger cells.
+/// Maximum number of cells of the projected grid: 1.2 km by 1.2 km; larger maps get larger cells.
 const MAX_CELLS: f64 = (1 << 24) as f64;
-/// Probability of a cell in which something stands upright.
+/// Probability of a cell with an upright structure.
 const STANDS: f32 = 0.9;
-/// What a hit tells follows from how much stands within so many metres to each side, and is no more than this, nats.
+/// Half edge of the square around a cell, metres, in which the density of upright cells determines the
+/// information of a hit.
 const SURROUNDINGS: f64 = 6.0;
+/// Maximum information of a hit, nats.
 const MOST_TOLD: f64 = 3.0;
-/// What a search of the picture from above proposes: what scores at least this, and this share of the best.
+/// Proposals of the search of the projected grid: minimum score, and minimum fraction of the best score.
 const PROPOSALS: SeveralPlaces = SeveralPlaces {
     min_score: 0.3,
     share_of_best: 0.7,
@@ -38,7 +43,8 @@ const PROPOSALS: SeveralPlaces = SeveralPlaces {
     most: 24,
     lookups: 75_000_000,
 };
-/// And where each column counts as much as it tells: the share of what all points may tell at most is smaller.
+/// Proposals of the search in which each column is weighted by its information: its score, as a fraction of
+/// the maximum information of all points, is smaller.
 const TELLING: WantedPlaces = WantedPlaces {
     min_score: 0.15,
     share_of_best: PROPOSALS.share_of_best,
@@ -48,18 +54,19 @@ const TELLING: WantedPlaces = WantedPlaces {
     beam: 65_536,
     lookups: 0,
 };
-/// Charged for both searches, whose look-ups are not counted: so that a walker who makes a node each 0.15 m is looked for once in a metre.
-/// Charging the most that the first may look up would make that once in five metres.
+/// Look-ups charged for both searches, whose look-ups are not counted: so that a walker who makes a node each
+/// 0.15 m is searched once per metre. Charging the maximum of the first search would make that once in five
+/// metres.
 const CHARGED_LOOKUPS: u64 = 15_000_000;
-/// The scanner is at the height of a node no farther than this from its place, metres; nodes whose heights differ by
-/// so much are on different storeys.
+/// Maximum distance from a place, metres, of nodes whose heights the scanner may have there.
 const NODES_AROUND: f64 = 10.0;
+/// Height difference from which nodes are on different storeys, metres.
 const STOREY: f64 = 1.0;
 
-/// Why places cannot be found from above.
+/// Error of making an index of upright structures.
 #[derive(Debug, Error)]
 pub enum FromAboveError {
-    /// Nothing stands upright.
+    /// There are no upright columns.
     #[error("nothing in the map stands upright")]
     Empty,
     /// A grid cannot be made.
@@ -70,30 +77,31 @@ pub enum FromAboveError {
     Matcher(#[from] MatcherOptionError),
 }
 
-/// Places of a 3D map by what stands upright there.
+/// Index of places of a 3D map by their upright structures.
 pub struct SeenFromAbove {
-    /// In which all columns count the same.
+    /// All columns have the same weight.
     alike: FastCorrelativeMatcher2d,
-    /// In which each counts as much as it tells.
+    /// Columns are weighted by their information.
     telling: PlaceIndex2d,
-    /// Where nodes were taken, metres in the map.
+    /// Positions of nodes in the map, metres.
     nodes: Vec<Vector3>,
 }
 
 impl SeenFromAbove {
-    /// Of what is solid, and where nodes were taken: metres in the map, whose z axis points up.
+    /// From occupied points and the positions of nodes: metres in the map, whose z axis points up.
     ///
     /// # Errors
-    /// If nothing stands upright, or the picture from above cannot be made.
+    /// If there are no upright columns, or the projected grid cannot be made.
     pub fn new(solid: impl Iterator<Item = Point3f>, nodes: Vec<Vector3>) -> Result<Self, FromAboveError> {
         let (picture, telling) = from_above(solid, &nodes)?;
         let alike = FastCorrelativeMatcher2d::new(&picture, &FastCorrelativeOptions2d::default())?;
         Ok(Self { alike, telling, nodes })
     }
 
-    /// Where in an area (its middle, and metres to each side), or anywhere, the columns of scans fit, at any heading, at the heights
-    /// of the storeys there: those places that are best where all columns count the same, and those that are where each counts as
-    /// much as it tells. Most columns stand where the map is dense, and the first search may never leave it. Poses are level.
+    /// Poses at which the columns of scans fit, in an area (its middle, and metres to each side) or anywhere,
+    /// at any heading, at the heights of the storeys there. Returns the best poses with equal weights of all
+    /// columns, and the best with columns weighted by information. Most columns are where the map is dense,
+    /// and the first search may never leave it. Poses are level.
     pub fn find(&self, columns: &PointCloud, area: Option<(&Vector2, f64)>) -> ProposedPlaces {
         let alike = || match area {
             Some((middle, metres)) => self.alike.match_several_within(columns, &PROPOSALS, middle, metres),
@@ -119,7 +127,7 @@ impl SeenFromAbove {
         ProposedPlaces { poses, lookups: CHARGED_LOOKUPS }
     }
 
-    /// Poses over a place seen from above: at the heights of the storeys there.
+    /// The poses over a 2D pose at the heights of the storeys there.
     fn lifted(&self, pose: &Rigid3) -> Vec<Rigid3> {
         let place = pose.translation.vector;
         let off = |node: &Vector3| (node.xy() - place.xy()).norm();
@@ -137,14 +145,14 @@ impl SeenFromAbove {
     }
 }
 
-/// What stands upright in scans, seen from above: points at height 0, thinned. Points are in a level frame, metres.
+/// Upright columns of scans, projected: points at height 0, thinned. Points are in a level frame, metres.
 pub fn columns_of_scans(points: impl Iterator<Item = Point3f>) -> PointCloud {
     let thinned = voxel_filter_points(&upright_columns(points, UPRIGHT_IN_SCANS), THINNED);
     let stride = thinned.len().div_ceil(MOST_COLUMNS).max(1);
     PointCloud::new(thinned.into_iter().step_by(stride).collect())
 }
 
-/// Columns that hold points in at least so many slices, as points at height 0 in their middle, in order.
+/// Columns with points in at least `slices` slices, as points at height 0 in their middle, in order.
 fn upright_columns(points: impl Iterator<Item = Point3f>, slices: usize) -> Vec<Point3f> {
     let mut columns: BTreeMap<[i32; 2], Vec<i32>> = BTreeMap::new();
     for p in points.filter(|p| p.coords.iter().all(|v| v.is_finite())) {
@@ -159,8 +167,8 @@ fn upright_columns(points: impl Iterator<Item = Point3f>, slices: usize) -> Vec<
     upright.map(|([x, y], _)| Point3f::new(middle(x), middle(y), 0.0)).collect()
 }
 
-/// What stands upright, seen from above, as a picture in which all columns are alike, and as an index in which each counts as
-/// much as it tells.
+/// Upright columns, projected: as a grid in which all columns are alike, and as an index in which each is
+/// weighted by its information.
 fn from_above(
     solid: impl Iterator<Item = Point3f>,
     nodes: &[Vector3],
@@ -210,7 +218,7 @@ fn limits_of(columns: &[Point3f]) -> Result<MapLimits, FromAboveError> {
     Ok(MapLimits::new(resolution, max, count(size.y), count(size.x))?)
 }
 
-/// How many cells stand in squares around cells: sums over all that come before.
+/// Number of upright cells in squares around cells, from a summed-area table.
 struct Crowd {
     width: usize,
     height: usize,
@@ -240,7 +248,8 @@ impl Crowd {
         Self { width, height, reach: (SURROUNDINGS / limits.resolution()).round() as usize, sums }
     }
 
-    /// −ln of the share of the cells around one that stand, as a share of the most.
+    /// Self-information of a cell: −ln of the fraction of upright cells around it, as a fraction of the
+    /// maximum.
     fn self_information(&self, cell: CellIndex) -> f32 {
         let span = |middle: i32, size: usize| {
             let middle = middle.max(0) as usize;

@@ -1,4 +1,4 @@
-//! Numbers as a histogram in words, for logs.
+//! Formats numbers as a histogram in text, for logs.
 
 use std::fmt;
 
@@ -7,7 +7,7 @@ use portolan_numeric::HistogramBins;
 /// Rows of a histogram.
 const BUCKETS: usize = 10;
 
-/// Counts how numbers are distributed; written as count, smallest, largest, mean and one row per bucket.
+/// Distribution of numbers; written as count, smallest, largest, mean and one row per bucket.
 #[derive(Clone, Debug, Default)]
 pub struct Histogram(portolan_numeric::Histogram);
 

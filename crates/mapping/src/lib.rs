@@ -30,7 +30,7 @@ pub use map::{Map, ScanPose};
 pub use mapper::{EndedTrajectory, Loss, Mapper, MapperSettings, MapperWork};
 pub use node::Node;
 pub use portolan_lidar_odometry::SweepPoint;
-/// What local SLAM hands to the pose graph.
+/// Types that local SLAM passes to the pose graph.
 pub use portolan_local_slam::{
     ActiveSubmaps, GatheredVariance, InsertedNode, InsertionSubmap, LocalSlam, LocalSlamSpace, Lost,
     MatchAcceptance, MatchingResult, NodeData, OdometryBridge, Space2d, Space3d,
@@ -39,7 +39,7 @@ pub use portolan_motion::{
     DegenerateInterval, DegenerateMotion, ExtrapolatorCounts, ExtrapolatorError, ImuMotion, MotionFilter,
     PoseExtrapolator, Substitute, integrate_imu,
 };
-/// The words in which maps are told.
+/// Types of a map: ids and constraints.
 pub use portolan_optimization::{
     Constraint, ConstraintTag, IndexedId, NodeId, OpenShift, SubmapId, TrajectoryId, of_trajectory,
 };

@@ -1,4 +1,4 @@
-//! What local SLAM made of a recording that was localised in a map: what can be added to that map.
+//! Result of local SLAM for a recording that was localised in a map, to be added to that map.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -8,14 +8,14 @@ use portolan_sensor::ImuData;
 
 use crate::{InsertedNode, InsertionSubmap, MatchingResult, Space};
 
-/// What is known of the place of a node in the map.
+/// What is known of the pose of a node in the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Placement {
-    /// Nothing that is believed.
+    /// No accepted pose.
     Unknown,
-    /// Its pose (`map_from_tracking`), less well than to be relied on: it was carried along by local SLAM.
+    /// Its pose (`map_from_tracking`), propagated by local SLAM and not reliable.
     Carried(Rigid3),
-    /// Its pose (`map_from_tracking`), as well as a match to the map tells it.
+    /// Its pose (`map_from_tracking`), as accurate as a match to the map.
     Found(Rigid3),
 }
 
@@ -29,14 +29,14 @@ impl Placement {
     }
 }
 
-/// A node of local SLAM, and where it was localised.
+/// A node of local SLAM, with its localised pose.
 #[derive(Clone, Debug)]
 pub struct TrackedNode<S: Space> {
     /// As local SLAM inserted it.
     pub inserted: InsertedNode<S>,
-    /// Nodes with the same number were drawn in the same local map.
+    /// Nodes with the same number belong to the same local map.
     pub piece: u32,
-    /// Where it lies in the map.
+    /// Its pose in the map.
     pub placement: Placement,
 }
 
@@ -47,7 +47,7 @@ impl<S: Space> TrackedNode<S> {
     }
 }
 
-/// Nodes and submaps of local SLAM, one local map after the other, with where nodes were localised.
+/// Nodes and submaps of local SLAM, one local map after the other, with the localised poses of nodes.
 #[derive(Clone, Debug)]
 pub struct LocalTrack<S: Space> {
     nodes: Vec<TrackedNode<S>>,
@@ -63,7 +63,7 @@ impl<S: Space> Default for LocalTrack<S> {
 }
 
 impl<S: Space> LocalTrack<S> {
-    /// Takes what became of a scan, and where it was localised.
+    /// Adds the result of a scan, with its localised pose.
     pub fn add(&mut self, scan: &MatchingResult<S>, placement: Placement) {
         if let Some(lost) = &scan.lost {
             self.take_submaps(&lost.remaining);
@@ -75,14 +75,14 @@ impl<S: Space> LocalTrack<S> {
         }
     }
 
-    /// Takes a sample of the IMU; kept where optimising uses it.
+    /// Adds an IMU sample; kept where the optimisation uses it.
     pub fn add_imu(&mut self, data: &ImuData) {
         if S::OPTIMIZES_WITH_IMU {
             self.imu.push(*data);
         }
     }
 
-    /// Takes the submaps that were being filled at the end.
+    /// Adds the submaps that were being filled at the end.
     pub fn finish(&mut self, remaining: &[InsertionSubmap<S>]) {
         self.take_submaps(remaining);
     }
@@ -92,7 +92,7 @@ impl<S: Space> LocalTrack<S> {
         &self.nodes
     }
 
-    /// Changes what is believed of nodes.
+    /// Updates the placement of nodes.
     pub fn judge(&mut self, judge: impl Fn(&TrackedNode<S>) -> Placement) {
         for node in &mut self.nodes {
             node.placement = judge(node);

@@ -1,4 +1,5 @@
-//! Planes of submaps from files, which keep none: made again of what they keep, and what that is worth.
+//! Makes planes of submaps loaded from files, which do not keep them, and calibrates what fraction of a scan
+//! they explain.
 
 use portolan_geometry::{Point3f, Rigid3, rotation_from_roll_pitch_yaw, to_f32};
 use portolan_lidar_odometry::PlaneMap;
@@ -12,22 +13,24 @@ use crate::NodeData;
 use crate::plane_search::{explained_at, explained_near};
 use crate::space_3d::{solid_cells, to_find};
 
-/// Fewer nodes than this do not show the planes of a submap.
+/// Minimum number of nodes of a submap for its planes to be made of their points.
 const MIN_NODES: usize = 8;
-/// One in so many scans is left out to learn how well planes that are made again explain scans.
+/// One in this number of scans is left out to measure how well the remade planes explain scans.
 const LEFT_OUT: usize = 8;
-/// So many scans are put to wrong places, evenly from all, each turned by the golden angle against the one before, radians.
+/// Maximum number of scans that are put at wrong places, evenly chosen from all.
 const MISPLACED: usize = 24;
+/// Rotation of each of these scans against the one before, radians.
 const GOLDEN_ANGLE: f64 = 2.399_963;
-/// Right places stand out from wrong ones by no less than this.
+/// Minimum difference between the explained fractions at right and wrong places.
 const LEAST_DIFFERENCE: f32 = 0.05;
 
 /// A node with points, and its pose in the submap.
 type Placed<'a> = (&'a NodeData, Rigid3);
 
-/// The planes of a submap from a file that keeps none: from the points of its nodes, which are where they were measured but few, and
-/// the centres of its solid cells, which are where more points were, within half an edge; where nodes have no points, from these alone.
-/// And what such planes explain of scans, where there are enough.
+/// Makes the planes of a submap from a file that keeps none. Sources are the points of its nodes, which are
+/// exact but few, and the centres of its occupied cells, which represent more points within half an edge; if
+/// nodes have no points, the cells alone. Also determines the fraction of scans that such planes explain,
+/// where there are enough scans.
 pub(crate) fn planes_of_loaded(
     submap: &Submap3d,
     nodes: &mut dyn Iterator<Item = &NodeData>,
@@ -63,7 +66,8 @@ fn planes_of(nodes: &[Placed], cells: &[Point3f], voxel_size: f32) -> PlaneMap {
     planes.compacted()
 }
 
-/// What planes that nodes made explain of scans: of those that are left out of them where they were taken, and of all at wrong places.
+/// Fractions of scans that remade planes explain: of scans that are left out of the planes, at their poses,
+/// and of all scans at wrong places.
 fn explained_by(planes: &PlaneMap, nodes: &[Placed], cells: &[Point3f]) -> Option<ExplainedByPlanes> {
     let is_left_out = |index: usize| index % LEFT_OUT == LEFT_OUT / 2;
     let kept = nodes.iter().enumerate().filter(|(index, _)| !is_left_out(*index));
@@ -85,13 +89,14 @@ fn explained_by(planes: &PlaneMap, nodes: &[Placed], cells: &[Point3f]) -> Optio
     Some(ExplainedByPlanes { where_taken: where_taken as f32, by_chance: by_chance as f32 })
 }
 
-/// The fraction of a scan on the planes of a submap that is as much as a fraction on planes which sweeps were registered to.
+/// Converts a fraction explained by planes that sweeps were registered to into the equivalent fraction for
+/// the remade planes of a submap.
 pub(crate) fn as_on_made_planes(submap: &Submap3d, fraction: f32) -> f32 {
     let Some((by_chance, difference)) = made(submap) else { return fraction };
     (by_chance + (fraction - AT_WRONG_PLACES.explained) * difference / usual_difference()).clamp(0.0, 1.0)
 }
 
-/// And the reverse.
+/// The inverse of [`as_on_made_planes`].
 pub(crate) fn as_on_planes_of_sweeps(submap: &Submap3d, fraction: f32) -> f32 {
     let Some((by_chance, difference)) = made(submap) else { return fraction };
     (AT_WRONG_PLACES.explained + (fraction - by_chance) * usual_difference() / difference).clamp(0.0, 1.0)
@@ -101,7 +106,7 @@ fn usual_difference() -> f32 {
     AT_RIGHT_PLACES.explained - AT_WRONG_PLACES.explained
 }
 
-/// What made planes explain by chance, and how much more of a scan at its place.
+/// The fraction that remade planes explain by chance, and how much more they explain of a scan at its place.
 fn made(submap: &Submap3d) -> Option<(f32, f32)> {
     let ExplainedByPlanes { where_taken, by_chance } = submap.made_planes.as_ref()?.explained?;
     Some((by_chance, (where_taken - by_chance).max(LEAST_DIFFERENCE)))

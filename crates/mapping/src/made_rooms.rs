@@ -1,4 +1,4 @@
-//! Rooms and what a scanner sees of them, for tests.
+//! Simulated rooms and scans of them, for tests.
 
 use portolan_geometry::{Point3f, Quaternion, Rigid3, Time, Vector2};
 use portolan_grids::{Grid2d, MapLimits, ProbabilityGrid};
@@ -7,8 +7,8 @@ use portolan_submaps::Submap2d;
 
 use crate::NodeData;
 
-/// What a scanner at (x, y) sees of a room of this size, metres, around the origin, one of whose corners is cut off by
-/// a box of 2 m.
+/// Scan from (x, y) of a room of this size, metres, around the origin, one of whose corners is cut off by a
+/// box of 2 m.
 fn scan(size: (f32, f32), (x, y): (f32, f32)) -> PointCloud {
     let (half_x, half_y) = (size.0 / 2.0, size.1 / 2.0);
     let is_free =

@@ -32,10 +32,10 @@ impl Answer for ScanPose {
     }
 }
 
-/// In files, before there is a node.
+/// Stands in files for scans before the first node.
 const NO_NODE: u64 = u64::MAX;
 
-/// A map: the pose graph with all that came along.
+/// A map: the pose graph with its options and trajectories.
 pub struct Map<S: Space> {
     /// The options that it was made with.
     pub options: Options,
@@ -46,7 +46,7 @@ pub struct Map<S: Space> {
 }
 
 impl<S: Space> Map<S> {
-    /// Puts the parts together.
+    /// A map of these parts.
     pub fn new(
         options: Options,
         graph: PoseGraph<S>,
@@ -60,8 +60,8 @@ impl<S: Space> Map<S> {
         self.nodes_as_last(id).into_values().map(|node| (node.time, node.map_from_tracking)).collect()
     }
 
-    /// Time and global pose of every scan of a trajectory, inserted or not: what local SLAM found,
-    /// corrected as the nodes before and after it were.
+    /// Time and global pose of every scan of a trajectory, inserted or not: the pose of local SLAM, corrected
+    /// as the nodes before and after it were.
     pub fn scan_poses(&self, id: TrajectoryId) -> Vec<(Time, Rigid3)> {
         let Some(trajectory) = self.trajectories.get(&id) else { return self.node_poses(id) };
         let nodes = self.nodes_as_last(id);
@@ -69,10 +69,10 @@ impl<S: Space> Map<S> {
         trajectory.scans.iter().filter_map(pose).collect()
     }
 
-    /// Whether all poses that were asked for so far could be told.
+    /// Whether all poses requested so far could be read.
     ///
     /// # Errors
-    /// Some of them waited in a file that could not be read again, and were missing.
+    /// Some of them were kept in a file that could not be read again, and were missing.
     pub fn whole(&self) -> std::io::Result<()> {
         self.trajectories.values().try_for_each(|trajectory| trajectory.scans.whole())?;
         self.graph.state().trimmed_nodes.whole()
@@ -90,7 +90,7 @@ impl<S: Space> Map<S> {
     }
 }
 
-/// Where a scan was taken, by the nodes before and after it.
+/// Pose of a scan, interpolated between the corrections of the nodes before and after it.
 fn scan_pose(id: TrajectoryId, scan: &ScanPose, nodes: &BTreeMap<NodeId, TrimmedNode>) -> Option<Rigid3> {
     let before = nodes.get(&NodeId::new(id, scan.last_node_index?))?;
     let by = |node: &TrimmedNode| {

@@ -1,4 +1,4 @@
-//! Where in a 2D map a stretch of way was seen: all submaps searched at once.
+//! Finds path segments in a 2D map: searches all submaps at once.
 
 use portolan_geometry::{NearFrame, Rigid3, embed_3d, project_2d};
 use portolan_matching::{PlaceIndex2d, WantedPlaces, joint_cloud_2d};
@@ -8,7 +8,7 @@ use crate::{NodeData, PlaceFinder, ProposedPlaces, SubmapInMap};
 
 /// Edge of a cell of the index, metres: walls of rooms and corridors are apart by several of them.
 const CELL: f64 = 0.2;
-/// What is proposed for a stretch of way, chosen in docs/experiments/2026-11-place-index.md.
+/// Parameters of the proposals for a path segment, chosen in docs/experiments/2026-11-place-index.md.
 const WANTED: WantedPlaces = WantedPlaces {
     min_score: 0.5,
     share_of_best: 0.75,
@@ -19,15 +19,15 @@ const WANTED: WantedPlaces = WantedPlaces {
     lookups: 2_000_000_000,
 };
 
-/// Finds stretches of way in a 2D map.
+/// Finds path segments in a 2D map.
 pub(crate) struct PlaceFinder2d {
-    /// In which the index is.
+    /// Frame of the index.
     frame: NearFrame,
     index: PlaceIndex2d,
 }
 
 impl PlaceFinder2d {
-    /// In submaps; none if there is nothing to find scans by.
+    /// For submaps; none if nothing can be searched.
     pub fn new(submaps: &[SubmapInMap<'_, Submap2d>]) -> Option<Self> {
         let frame = NearFrame::around(submaps.iter().map(|part| part.map_from_submap.translation.vector));
         let grids: Vec<_> = submaps

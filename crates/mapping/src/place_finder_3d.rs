@@ -1,4 +1,4 @@
-//! Where in a 3D map a stretch of way was seen: all submaps searched at once, from above.
+//! Finds path segments in a 3D map: searches all submaps at once, projected onto the ground plane.
 
 use portolan_geometry::{NearFrame, Point3f, Rigid3, to_f32};
 use portolan_submaps::Submap3d;
@@ -7,18 +7,18 @@ use crate::from_above::{SeenFromAbove, columns_of_scans};
 use crate::space_3d::solid_cells;
 use crate::{NodeData, PlaceFinder, ProposedPlaces, SubmapInMap};
 
-/// What is farther from the scanner than this, metres, is seen by single beams.
+/// Maximum distance of points from the scanner, metres; only single beams hit what is farther away.
 const REACH: f32 = 30.0;
 
-/// Finds stretches of way in a 3D map.
+/// Finds path segments in a 3D map.
 pub(crate) struct PlaceFinder3d {
-    /// In which the picture from above is.
+    /// Frame of the projected map.
     frame: NearFrame,
     above: SeenFromAbove,
 }
 
 impl PlaceFinder3d {
-    /// In submaps that know their planes; none if there are others, or nothing to find scans by.
+    /// For submaps with planes; none if others are among them, or nothing can be searched.
     pub fn new(submaps: &[SubmapInMap<'_, Submap3d>]) -> Option<Self> {
         if submaps.iter().any(|part| part.submap.planes_to_match().is_none()) {
             return None;

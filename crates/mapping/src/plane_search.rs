@@ -1,5 +1,5 @@
-//! Finding nodes in submaps that know their planes: where a node is believed to be first, then around it
-//! as widely as it may be off by now; and refining what a search anywhere found.
+//! Finds nodes in submaps with planes: first at the guess, then around it within its uncertainty. Also
+//! refines poses that a search found elsewhere.
 
 use portolan_geometry::{Point3f, Rigid3, Vector3, is_valid_pose};
 use portolan_lidar_odometry::{
@@ -10,27 +10,30 @@ use portolan_submaps::SearchWindow;
 
 use crate::{MatchedPose, Nearby, OpenShift};
 
-/// A pose that a search found may be off by this.
+/// Standard deviations of a pose that a search found, metres and radians.
 const SIGMAS: Sigmas = Sigmas { translation: 0.2, rotation: 0.05 };
-/// A node that lies on planes farther from its place than this, metres, is not on planes there.
+/// Maximum distance between a node and the pose at which it fits planes, metres, for the planes to count as
+/// explaining it there.
 const SAME_PLACE: f64 = 0.3;
-/// Points may be off by this at the beginning of the refinement, metres.
+/// Initial distance scale of points to planes in the refinement, metres.
 const REFINEMENT_SCALE: f64 = 0.4;
-/// What a node may be off after no way at all, and for each metre travelled since, three standard deviations: metres and radians.
-/// Matched to planes, trajectories drift by a fifth of this at most (simulated buildings, with and without
-/// an IMU); the nodes may have moved since the guess was made, too.
+/// Uncertainty of a node before any motion, three standard deviations: metres and radians. When matched to
+/// planes, trajectories drift by at most a fifth of this and of [`DRIFT_PER_METRE`] (simulated buildings,
+/// with and without an IMU); the nodes may also have moved since the guess was made.
 const DRIFT_AT_START: (f64, f64) = (0.5, 0.035);
+/// Growth of this uncertainty per metre travelled, three standard deviations: metres and radians.
 const DRIFT_PER_METRE: (f64, f64) = (0.04, 0.002);
+/// Number of standard deviations in these uncertainties.
 const ERROR_SIGMAS: f64 = 3.0;
 
-/// A node that is off by so much, metres, is put where it belongs: 178 right loop closures in a corridor, a museum, a
-/// garage and a park, begun from four places each, were found again in 99 % from 0.5 m away, 89 % from 0.75 m, 56 % from
-/// 1 m.
+/// Basin of attraction, metres: offset from which registration finds the right pose. 178 right loop closures
+/// in a corridor, a museum, a garage and a park, started from four poses each, were found again in 99 % from
+/// 0.5 m away, 89 % from 0.75 m, 56 % from 1 m.
 const CAPTURE: f64 = 0.75;
-/// So it is begun at places so far from the guess, metres, too, which finds nodes that are off by up to 1.5 m.
+/// Distance from the guess of further start poses, metres, which finds nodes that are off by up to 1.5 m.
 const RING: f64 = 0.9;
 
-/// How far off a guess may be when the scanner travelled so many metres since.
+/// Uncertainty of a guess after `travelled` metres.
 pub(crate) fn drift_over(travelled: f64) -> SearchWindow {
     let grown = |at_start: f64, per_metre: f64| at_start + per_metre * travelled;
     SearchWindow {
@@ -39,8 +42,9 @@ pub(crate) fn drift_over(travelled: f64) -> SearchWindow {
     }
 }
 
-/// The node on the planes of a submap near a pose that a search found. None if fewer of its
-/// points lie on planes than wanted, or if they leave a direction open: what a search found along a bare corridor is no measurement.
+/// Registers a node to the planes of a submap near a pose that a search found. None if fewer of its points
+/// are on planes than wanted, or if there is a degenerate direction: a pose found by search along a bare
+/// corridor is no measurement.
 pub(crate) fn refined_by_planes(
     planes: &PlaneMap,
     node: &NodeToFind<'_>,
@@ -52,7 +56,7 @@ pub(crate) fn refined_by_planes(
     refined.degenerate.is_empty().then(|| matched(&refined))
 }
 
-/// The fraction of the points of a node that lie on planes where it is.
+/// Fraction of the points of a node on planes at its pose.
 pub(crate) fn explained_at(planes: &PlaneMap, node: &NodeToFind<'_>, pose: &Rigid3) -> f32 {
     let is_there = |found: &RegistrationResult| {
         (found.pose.translation.vector - pose.translation.vector).norm() <= SAME_PLACE
@@ -61,7 +65,7 @@ pub(crate) fn explained_at(planes: &PlaneMap, node: &NodeToFind<'_>, pose: &Rigi
     found.map_or(0.0, |found| found.matched_fraction as f32)
 }
 
-/// The fraction of the points of a node that lie on planes where it fits best near a pose.
+/// Fraction of the points of a node on planes at the best fit near a pose.
 pub(crate) fn explained_near(planes: &PlaneMap, node: &NodeToFind<'_>, pose: &Rigid3) -> f32 {
     registered_near(planes, node, pose).map_or(0.0, |found| found.matched_fraction as f32)
 }
@@ -70,7 +74,7 @@ fn registered_near(planes: &PlaneMap, node: &NodeToFind<'_>, pose: &Rigid3) -> O
     register_to_planes(planes, node, pose, &PosePrior { pose: *pose, sigmas: SIGMAS }, 0.0)
 }
 
-/// Puts the points of a node on planes. None if fewer than wanted lie on them then.
+/// Registers the points of a node to planes. None if fewer than wanted are on planes then.
 fn register_to_planes(
     planes: &PlaneMap,
     node: &NodeToFind<'_>,
@@ -92,7 +96,7 @@ fn matched(found: &RegistrationResult) -> MatchedPose {
     MatchedPose { submap_from_node: found.pose, open: None, score: found.matched_fraction as f32 }
 }
 
-/// Puts a node on the planes near its guess, which is off by no more than `error`.
+/// Registers a node to the planes near its guess, which is off by at most `error`.
 pub(crate) fn find_nearby(
     planes: &PlaneMap,
     node: &NodeToFind<'_>,
@@ -103,7 +107,7 @@ pub(crate) fn find_nearby(
     let sigmas = Sigmas { translation: error.linear / ERROR_SIGMAS, rotation: error.angular / ERROR_SIGMAS };
     let prior = PosePrior { pose: *guess_submap_from_node, sigmas };
     let from = |start: &Rigid3| fit(planes, node, start, &prior, min_explained);
-    // What is clear counts most, and of that what fits best.
+    // Unambiguous results rank first, and among them the best fit.
     let rank = |nearby: &Nearby| match nearby {
         Nearby::Found(MatchedPose { open: None, score, .. }) => 2.0 + score,
         Nearby::Found(MatchedPose { score, .. }) => 1.0 + score,
@@ -120,7 +124,7 @@ pub(crate) fn find_nearby(
     best
 }
 
-/// Poses to begin with around a guess, at equal distances from it and from each other.
+/// Start poses around a guess, at equal distances from it and from each other.
 fn ring(guess_submap_from_node: &Rigid3) -> [Rigid3; 6] {
     std::array::from_fn(|i| {
         let (sin, cos) = (i as f64 * std::f64::consts::FRAC_PI_3).sin_cos();
@@ -131,7 +135,7 @@ fn ring(guess_submap_from_node: &Rigid3) -> [Rigid3; 6] {
     })
 }
 
-/// Where a node lies on the planes near `start`.
+/// Pose of a node by registration to the planes from `start`.
 fn fit(
     planes: &PlaneMap,
     node: &NodeToFind<'_>,

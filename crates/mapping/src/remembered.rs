@@ -1,4 +1,4 @@
-//! What is remembered of matches, searches and optimisations, so that a job that was cut off can go on.
+//! Caches results of matches, searches and optimisations, so that an interrupted job can continue.
 
 use portolan_geometry::{Rigid3, Vector3};
 use portolan_optimization::{OptimizationData, OptimizationSummary, remembered_optimum};
@@ -7,7 +7,7 @@ use portolan_recall::{Answer, Fingerprint, Memory, Sink, Words};
 use crate::{Constraint, MatchedPose, NodeId, OpenShift, SearchRegion, Space, SubmapId, TrajectoryId};
 use portolan_local_slam::InsertedNode;
 
-/// A memory, and what has happened to a pose graph so far.
+/// A memory, and a fingerprint of the pose graph so far.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Remembered {
     pub memory: Memory,
@@ -15,12 +15,12 @@ pub(crate) struct Remembered {
 }
 
 impl Remembered {
-    /// Remembers with this.
+    /// With this memory.
     pub fn new(memory: Memory) -> Self {
         Self { memory, seen: Fingerprint::of("pose graph") }
     }
 
-    /// Takes note of a new node. Submaps follow from the nodes before.
+    /// Adds a new node to the fingerprint. Submaps follow from the nodes before.
     pub fn note_node<S: Space>(&mut self, trajectory_id: TrajectoryId, inserted: &InsertedNode<S>) {
         if !self.memory.is_on() {
             return;
@@ -41,7 +41,7 @@ impl Remembered {
         }
     }
 
-    /// The question where a node lies in a submap; none without a memory.
+    /// The key of a search for a node in a submap; none without a memory.
     pub fn where_is(
         &self,
         (submap_id, node_id): (SubmapId, NodeId),
@@ -58,7 +58,7 @@ impl Remembered {
         })
     }
 
-    /// Optimises, or takes over what was found when it was done before.
+    /// Optimises, or takes the result from the memory if it was done before.
     pub fn optimize(
         &self,
         data: &mut OptimizationData,

@@ -1,4 +1,4 @@
-//! What differs between 2D and 3D, so that the pose graph exists once.
+//! Interface of a space, 2D or 3D, so that the pose graph exists once.
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
 use portolan_geometry::{Dimension, Point3f, Quaternion, Rigid3, Vector2, Vector3};
@@ -10,29 +10,29 @@ use portolan_submaps::SearchWindow;
 use crate::mapper::MapperWork;
 use crate::{Constraint, LocalSlam, LocalSlamSpace, MapperError, MatchAcceptance, NodeData, OpenShift};
 
-/// How far a node may be from where it is believed to be.
+/// Region in which a node is searched.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SearchRegion {
     /// Within the search windows around the guess.
     Window {
-        /// How far the scanner travelled between node and submap, metres; infinite if that is not known.
+        /// Path length between node and submap, metres; infinite if unknown.
         travelled: f64,
-        /// How far the node may be from its guess after that; none: as the options say.
+        /// Search window that follows from it; none: as the options say.
         window: Option<SearchWindow>,
-        /// What a match has to be like to be believed.
+        /// Criteria for accepting a match.
         acceptance: MatchAcceptance,
     },
-    /// Anywhere in the submap, or near a guess that was made without knowing where the node is.
+    /// Anywhere in the submap, or near a guess that does not come from the pose of the node.
     WholeSubmap {
-        /// Which matches are believed.
+        /// Criteria for accepting a match.
         acceptance: MatchAcceptance,
-        /// How far around the guess, if a search of the whole map proposed the place; none: anywhere.
+        /// Search window around the guess, if a search of the whole map proposed the pose; none: anywhere.
         around_guess: Option<SearchWindow>,
     },
 }
 
 impl SearchRegion {
-    /// Which matches are believed.
+    /// Criteria for accepting a match.
     pub fn acceptance(&self) -> MatchAcceptance {
         match self {
             Self::Window { acceptance, .. } | Self::WholeSubmap { acceptance, .. } => *acceptance,
@@ -45,69 +45,69 @@ impl SearchRegion {
 pub struct MatchedPose {
     /// Pose of the node (in the frame that constraints use) in the submap.
     pub submap_from_node: Rigid3,
-    /// The direction along which the match does not tell the place.
+    /// The direction along which the match does not constrain the position.
     pub open: Option<OpenShift>,
     /// Score in [0, 1].
     pub score: f32,
 }
 
-/// What the surroundings of a guess say of a node.
+/// Result of matching a node around its guess.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Nearby {
-    /// It is where it is believed to be, or close to that.
+    /// It is at the guess, or close to it.
     Found(MatchedPose),
     /// It has to be searched.
     Unknown,
-    /// It is there, but fits in more than one place; searching finds no better.
+    /// It is there, but fits at more than one pose; a full search does not resolve that.
     Ambiguous,
-    /// It is nowhere it may be; searching would not find it either.
+    /// It is not within the region; a full search would not find it either.
     Absent,
 }
 
-/// A submap where the map puts it.
+/// A submap at its pose in the map.
 pub struct SubmapInMap<'a, M> {
     /// Its pose.
     pub map_from_submap: Rigid3,
     /// The submap.
     pub submap: &'a M,
-    /// Where its nodes were taken, metres in the map.
+    /// Positions of its nodes in the map, metres.
     pub nodes: Vec<Vector3>,
 }
 
 /// Finds scans anywhere in a map at once.
 pub trait PlaceFinder: Send + Sync {
-    /// Where the first of some scans may have been taken. Each scan comes with its pose in the frame of the first. The search
-    /// ends after so many look-ups of cells, with what it has found.
+    /// Possible poses of the first of some scans. Each scan comes with its pose in the frame of the first.
+    /// The search ends after `most_lookups` look-ups of cells, with what it has found.
     fn find(&self, scans: &[(Rigid3, &NodeData)], most_lookups: u64) -> ProposedPlaces;
 }
 
-/// Places that a scan may have been taken at.
+/// Possible poses of a scan.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ProposedPlaces {
     /// Poses in the map, in the frame that constraints use, the most likely first.
     pub poses: Vec<Rigid3>,
-    /// How many cells of the map were looked up for them: what the search cost, on any machine.
+    /// Number of cells looked up for them: the cost of the search, independent of the machine.
     pub lookups: u64,
 }
 
 /// A space to map in: 2D or 3D. Poses cross this interface as [`Rigid3`].
 pub trait Space: LocalSlamSpace {
-    /// What is precomputed from a finished submap to find nodes in it.
+    /// Data precomputed from a finished submap for finding nodes in it.
     type Matcher: Send + Sync + 'static;
 
     /// The local SLAM of this space.
     type LocalSlam: LocalSlam<Self>;
 
-    /// What a mapper in this space does.
+    /// The work of a mapper in this space.
     fn mapper_work() -> &'static MapperWork<Self>;
 
-    /// Plane or space.
+    /// 2D or 3D.
     const DIMENSION: Dimension;
 
     /// Whether the optimisation uses IMU samples, so that they are kept.
     const OPTIMIZES_WITH_IMU: bool = matches!(Self::DIMENSION, Dimension::ThreeD);
 
-    /// Whole maps are searched for scans so far along the way to either side of a node, metres.
+    /// Length of the path to either side of a node whose scans are searched in whole maps, metres.
     const STRETCH_METRES: f64;
 
     /// Memory for matchers that are kept between searches, bytes. In 2D building one takes a millisecond
@@ -128,14 +128,14 @@ pub trait Space: LocalSlamSpace {
     /// The inverse of [`Space::graph_pose`].
     fn tracking_pose(graph_pose: &Rigid3, gravity_alignment: &Quaternion) -> Rigid3;
 
-    /// Precomputes what searching in this submap needs; none if the options make no sense.
+    /// Builds the matcher of this submap; none if the options are invalid.
     fn build_matcher(submap: &Self::Submap, options: &ConstraintBuilderOptions) -> Option<Self::Matcher>;
 
     /// Memory that a matcher takes, bytes.
     fn matcher_bytes(matcher: &Self::Matcher) -> usize;
 
-    /// Gives a submap of a file what files do not keep and local SLAM would have kept, from its grids and
-    /// from the nodes that were inserted into it.
+    /// Restores data of a loaded submap that files do not keep but local SLAM would have kept, from its grids
+    /// and from the nodes that were inserted into it.
     fn complete_loaded(
         _submap: &mut Self::Submap,
         _nodes: &mut dyn Iterator<Item = &NodeData>,
@@ -143,7 +143,7 @@ pub trait Space: LocalSlamSpace {
     ) {
     }
 
-    /// Looks whether the node is close to where it is believed or proposed to be, which takes less than searching.
+    /// Checks whether the node is close to its guess or proposed pose, which is cheaper than a search.
     fn find_nearby(
         _submap: &Self::Submap,
         _node: &NodeData,
@@ -154,13 +154,14 @@ pub trait Space: LocalSlamSpace {
         Nearby::Unknown
     }
 
-    /// What a match has to be like to be believed where scans agree with the map as well as usual: as wanted, or in 3D as the
-    /// least score says, which is the fraction of the points on planes.
+    /// Acceptance criteria where scans agree with the map as well as usual: as wanted, or in 3D the minimum
+    /// score, which is the fraction of the points on planes.
     fn wanted_acceptance(wanted: MatchAcceptance, _options: &ConstraintBuilderOptions) -> MatchAcceptance {
         wanted
     }
 
-    /// How a complete submap agrees with the scan of a node that was inserted into it; none in 2D, where local SLAM tells.
+    /// Agreement of a complete submap with the scan of a node that was inserted into it; none in 2D, where
+    /// local SLAM reports it.
     fn own_agreement(
         _submap: &Self::Submap,
         _node: &NodeData,
@@ -169,8 +170,8 @@ pub trait Space: LocalSlamSpace {
         None
     }
 
-    /// The submap drawn again from the scans of all its nodes, each at its pose in the submap; none where that is not
-    /// possible: scans are not kept (3D), or came from a file.
+    /// The submap made again from the scans of all its nodes, each at its pose in the submap; none where that
+    /// is not possible: scans are not kept (3D), or came from a file.
     fn redrawn(
         _submap: &Self::Submap,
         _nodes: &mut dyn Iterator<Item = (&NodeData, Rigid3)>,
@@ -178,8 +179,8 @@ pub trait Space: LocalSlamSpace {
         None
     }
 
-    /// A submap at the place of this one, drawn from the scans of some of its nodes, each at its pose in the submap; none where
-    /// [`Space::redrawn`] gives none.
+    /// A submap at the pose of this one, made from the scans of some of its nodes, each at its pose in the
+    /// submap; none where [`Space::redrawn`] returns none.
     fn drawn_from(
         _submap: &Self::Submap,
         _nodes: &mut dyn Iterator<Item = (&NodeData, Rigid3)>,
@@ -187,7 +188,8 @@ pub trait Space: LocalSlamSpace {
         None
     }
 
-    /// How the submap agrees with the scan of a node at a pose in it; none where it knows nothing of the place, and in 3D.
+    /// Agreement of the submap with the scan of a node at a pose in it; none where it does not know the
+    /// place, and in 3D.
     fn agreement(
         _submap: &Self::Submap,
         _node: &NodeData,
@@ -196,12 +198,13 @@ pub trait Space: LocalSlamSpace {
         None
     }
 
-    /// Whether the scan of a node at a pose in the submap leaves a direction open; never in 3D, where planes tell.
+    /// Whether the scan of a node at a pose in the submap has a degenerate direction; never in 3D, where the
+    /// registration to planes reports it.
     fn leaves_open(_submap: &Self::Submap, _node: &NodeData, _submap_from_node: &Rigid3) -> bool {
         false
     }
 
-    /// Looks for the node in the submap and refines what is found.
+    /// Searches the node in the submap and refines the match.
     fn find_node(
         matcher: &Self::Matcher,
         submap: &Self::Submap,
@@ -211,12 +214,12 @@ pub trait Space: LocalSlamSpace {
         options: &ConstraintBuilderOptions,
     ) -> Option<MatchedPose>;
 
-    /// What finds scans anywhere in many submaps at once; none where there is nothing to find scans by, or submaps do not know
-    /// their planes (3D).
+    /// A finder of scans anywhere in many submaps at once; none where nothing can be searched, or submaps
+    /// have no planes (3D).
     fn place_finder(submaps: &[SubmapInMap<'_, Self::Submap>]) -> Option<Box<dyn PlaceFinder>>;
 
-    /// Moves submaps, nodes, landmarks and fixed-frame origins to where the constraints and
-    /// measurements agree best.
+    /// Optimises submaps, nodes, landmarks and fixed-frame origins for the best agreement of constraints and
+    /// measurements.
     fn optimize(
         data: &mut OptimizationData,
         constraints: &[Constraint],
@@ -227,8 +230,8 @@ pub trait Space: LocalSlamSpace {
     /// coverage is not defined (3D).
     fn known_cell_centers(submap: &Self::Submap) -> Option<Vec<Vector2>>;
 
-    /// Middles of what is solid in the submap, in its own frame, metres; `None` in 2D, where
-    /// [`Space::known_cell_centers`] says what it covers.
+    /// Centres of the occupied cells of the submap, in its own frame, metres; `None` in 2D, where
+    /// [`Space::known_cell_centers`] gives its coverage.
     fn solid_cell_centers(_submap: &Self::Submap) -> Option<Vec<Point3f>> {
         None
     }

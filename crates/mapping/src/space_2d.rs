@@ -1,4 +1,4 @@
-//! Mapping in 2D: what the pose graph and the mapper need of it.
+//! Implements [`Space`] in 2D for the pose graph and the mapper.
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
 use portolan_geometry::{
@@ -18,33 +18,36 @@ use crate::{
     Space, SubmapInMap,
 };
 
-/// What finds nodes in one finished submap.
+/// Matcher of nodes in one finished submap.
 pub struct SubmapMatcher2d {
     search: FastCorrelativeMatcher2d,
-    /// Mean probability of its solid cells: what a scan that fits scores, however often it was seen.
+    /// Mean probability of its occupied cells: the score of a scan that fits, independent of how often the
+    /// cells were seen.
     solidity: f32,
     refinement: GradientMatcher2d,
 }
 
-/// A match tells the place along a direction if it spreads no more than this along it, metres: of those that spread less one
-/// in a hundred is wrong, of those that spread more two in five (docs/experiments/2026-11-corridor-loops.md).
+/// Maximum spread of a match along a direction that it still constrains, metres: of matches that spread less,
+/// one in a hundred is wrong, of those that spread more, two in five
+/// (docs/experiments/2026-11-corridor-loops.md).
 const MOST_SPREAD: f64 = 0.25;
 
-/// So far along a corridor a scan is compared with the submap that it was drawn in, metres: over some doors.
+/// Distance along a corridor within which a scan is compared with the submap that it was inserted into,
+/// metres: past several doors.
 const OWN_REACH: f64 = 6.0;
 
-/// Beams that are not explained score so much of the probability of solid cells, all together: they end in cells that are
-/// not quite free.
+/// Score of all unexplained beams together, as a fraction of the probability of occupied cells: they end in
+/// cells that are not quite free.
 const SCORE_OF_OTHERS: f32 = 0.03;
 
 impl SubmapMatcher2d {
-    /// A scan that scores less explains too little: less than wanted, or than wrong places do.
+    /// Minimum score: a scan below it explains less than wanted, or than scans at wrong places do.
     fn least_score(&self, acceptance: MatchAcceptance) -> f32 {
         (acceptance.min_explained.max(AT_WRONG_PLACES.explained) + SCORE_OF_OTHERS) * self.solidity
     }
 }
 
-/// The direction along which a match does not tell where a node lies within `reach` metres of `guess`.
+/// The direction along which a match does not constrain the pose of a node within `reach` metres of `guess`.
 fn open_shift(
     grid: &Grid2d,
     grid_from_node: &Rigid2,
@@ -183,7 +186,7 @@ impl Space for Space2d {
             return None;
         }
         let submap_from_node = embed_3d(&(local_from_submap.inverse() * pose));
-        // Within the windows of a configuration places count as Cartographer counts them.
+        // With the search windows of the options, matches count as full constraints, as in Cartographer.
         let open = if let SearchRegion::Window { window: Some(window), .. } = region {
             let guess = local_from_submap * project_2d(guess_submap_from_node);
             open_shift(&submap.grid, &pose, cloud, (&guess.translation, window.linear))

@@ -1,4 +1,4 @@
-//! Mapping in 3D: what the pose graph and the mapper need of it.
+//! Implements [`Space`] in 3D for the pose graph and the mapper.
 
 use portolan_config::{ConstraintBuilderOptions, OptimizationProblemOptions, Options};
 use portolan_geometry::{Dimension, Point3f, Quaternion, Rigid3, Vector2, is_valid_pose};
@@ -20,7 +20,7 @@ use crate::{
     Space, SubmapInMap,
 };
 
-/// What finds nodes in one finished submap.
+/// Matcher of nodes in one finished submap.
 pub struct SubmapMatcher3d {
     search: FastCorrelativeMatcher3d,
     refinement: GradientMatcher3d,
@@ -33,7 +33,7 @@ impl Space for Space3d {
     type LocalSlam = LocalSlam3d;
 
     const DIMENSION: Dimension = Dimension::ThreeD;
-    /// Of the stretch of a car, which makes a node each metre or two, as many scans as of a walker.
+    /// For a car, which makes a node each metre or two, this gives as many scans as for a walker.
     const STRETCH_METRES: f64 = 12.0;
     /// Building one takes 70 ms, keeping one 10 MB (submap of a hall of 30 m by 20 m).
     const MATCHER_CACHE_BYTES: usize = 160 << 20;
@@ -114,7 +114,8 @@ impl Space for Space3d {
         Some(Box::new(PlaceFinder3d::new(submaps)?))
     }
 
-    /// Planes explain points whether or not other sweeps met the same cells, which those of a car seldom do.
+    /// Planes explain points even where other sweeps did not measure the same cells; those of a car seldom
+    /// do.
     fn wanted_acceptance(_: MatchAcceptance, options: &ConstraintBuilderOptions) -> MatchAcceptance {
         MatchAcceptance { min_explained: options.min_score as f32, ..MatchAcceptance::default() }
     }
@@ -197,8 +198,9 @@ pub(crate) fn solid_cells(submap: &Submap3d) -> Vec<Point3f> {
     centers
 }
 
-/// Whether a node that may be anywhere meets solid cells of a submap where its planes put it: what a node sees lies in planes of
-/// other buildings, too, but what it sees far away does not meet their coarse cells.
+/// Whether the scan of a node that may be anywhere also hits occupied cells of a submap at the pose that its
+/// planes give. Points also fit planes of other buildings, but then the distant ones do not hit the coarse
+/// occupied cells.
 fn meets_solid_cells(
     submap: &Submap3d,
     node: &NodeToFind<'_>,
@@ -215,7 +217,7 @@ fn meets_solid_cells(
             >= options.fast_correlative_scan_matcher_3d.min_low_resolution_score
 }
 
-/// The fraction of points that has to lie on the planes of a submap.
+/// Minimum fraction of points on the planes of a submap.
 fn least_explained(submap: &Submap3d, region: &SearchRegion) -> f32 {
     as_on_made_planes(submap, region.acceptance().min_explained)
 }

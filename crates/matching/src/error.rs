@@ -1,8 +1,8 @@
-//! Why a matcher cannot be made.
+//! Errors of matcher options.
 
 use thiserror::Error;
 
-/// Why a matcher refuses its options.
+/// Error of the options of a matcher.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum MatcherOptionError {
     /// A weight or length that must be positive.
@@ -31,17 +31,17 @@ pub enum MatcherOptionError {
         /// The largest value.
         max: u32,
     },
-    /// One value for each of several things is needed.
+    /// One value per item is needed.
     #[error("{name} is given {found} times: it must be given {expected} times")]
     Count {
         /// Name of the option.
         name: &'static str,
-        /// How many are needed.
+        /// The number needed.
         expected: usize,
-        /// How many there are.
+        /// The number given.
         found: usize,
     },
-    /// A grid in 3D that no scanner can have made.
+    /// A grid in 3D larger than any scan can fill.
     #[error("the grid has known cells in more than a million blocks of 4x4x4: it is damaged")]
     TooManyVoxels,
 }

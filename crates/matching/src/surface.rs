@@ -1,15 +1,16 @@
-//! Which way the surfaces run that a planar scan saw.
+//! Estimates the directions of surfaces in a planar scan.
 
 use portolan_geometry::Vector2;
 use portolan_sensor::PointCloud;
 
-/// Neighbouring returns between these distances, metres, belong to one surface and tell its direction.
+/// Range of distances between neighbouring returns, metres, that belong to one surface and give its
+/// direction.
 const NEIGHBOURS: (f32, f32) = (0.15, 0.5);
-/// Returns that are looked at for a neighbour.
+/// Number of following returns that are searched for a neighbour.
 const LOOKED_AT: usize = 12;
 
-/// Unit vectors along the surface at each return, where a neighbour tells. Returns are in the order in which the
-/// scanner measured them.
+/// Unit vectors along the surface at each return, where it has a neighbour on the surface. Returns are in the
+/// order in which the scanner measured them.
 pub fn surface_tangents(returns: &PointCloud) -> Vec<Option<Vector2>> {
     let points = &returns.points;
     let mut tangents = vec![None; points.len()];

@@ -2,8 +2,8 @@
 
 use portolan_geometry::{Point3f, Rigid2};
 
-/// A turn about z and a shift in 2D, applied to points in single precision the way quaternions
-/// do it. In which cell a point on a border lands depends on this order of operations.
+/// A rotation about z and a translation in 2D, applied to points in single precision the way quaternions do
+/// it. The cell of a point on a border depends on this order of operations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Transform2d {
     /// Real part and z of the quaternion.
@@ -19,13 +19,13 @@ impl Transform2d {
         Self { translation, ..Self::rotation(pose.angle as f32) }
     }
 
-    /// A turn by `angle` radians.
+    /// A rotation by `angle` radians.
     pub fn rotation(angle: f32) -> Self {
         let half = angle / 2.0;
         Self { quaternion: [half.cos(), half.sin()], translation: [0.0; 2] }
     }
 
-    /// The transform back.
+    /// The inverse transform.
     #[must_use]
     pub fn inverse(&self) -> Self {
         let [w, z] = self.quaternion;
@@ -35,7 +35,7 @@ impl Transform2d {
         Self { translation: [-moved.x, -moved.y], ..back }
     }
 
-    /// Where a point goes (metres); z stays.
+    /// The transformed point (metres); z stays.
     #[inline]
     pub fn apply(&self, point: &Point3f) -> Point3f {
         let [w, z] = self.quaternion;

@@ -1,8 +1,9 @@
-//! Directions of motion that scans do not constrain, and what measures them instead.
+//! Directions of motion that scans do not constrain, and the sensors that measure them instead.
 
 use portolan_geometry::Vector3;
 
-/// Unit vectors of the directions that a scan does not constrain. Who has them says in which frame.
+/// Unit vectors of the directions that a scan does not constrain. The frame is documented where they are
+/// used.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DegenerateDirections {
     /// Translations along these are not constrained.
@@ -18,7 +19,7 @@ impl DegenerateDirections {
     }
 }
 
-/// Which motion a scan constrains, and what is known of the rest.
+/// Which motion a scan constrains, and which other sensors measure the rest.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Observability {
     /// Directions that it does not constrain, in the tracking frame at its end.

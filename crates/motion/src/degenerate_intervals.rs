@@ -1,23 +1,23 @@
-//! Degenerate intervals of a trajectory: where scans left a direction unconstrained, as in long bare corridors, tunnels and
-//! open fields.
+//! Degenerate intervals of a trajectory: where scans do not constrain a direction, as in long bare
+//! corridors, tunnels and open fields.
 
 use portolan_geometry::{Duration, Time, Vector3};
 
-/// More intervals are counted with the last one, which bounds memory.
+/// Maximum number of intervals, which bounds memory; further degenerate scans are counted with the last one.
 const MAX_INTERVALS: usize = 10_000;
 
 /// A component of motion that scans do not constrain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum DegenerateMotion {
-    /// How far it goes in the direction in which it goes.
+    /// Translation in the direction of travel.
     Along,
-    /// How far it goes sideways.
+    /// Sideways translation.
     Across,
-    /// How far it goes up or down.
+    /// Vertical translation.
     Up,
-    /// How far it turns about the vertical.
+    /// Rotation about the vertical.
     Heading,
-    /// How far it rolls or pitches.
+    /// Roll or pitch.
     Tilt,
 }
 
@@ -25,12 +25,12 @@ impl DegenerateMotion {
     /// All of them, in the order in which they are reported.
     pub const ALL: [Self; 5] = [Self::Along, Self::Across, Self::Up, Self::Heading, Self::Tilt];
 
-    /// Whether it is a turn.
+    /// Whether it is a rotation.
     pub fn is_rotation(self) -> bool {
         matches!(self, Self::Heading | Self::Tilt)
     }
 
-    /// In words, after "do not constrain".
+    /// Its name in words, after "do not constrain".
     pub fn name(self) -> &'static str {
         match self {
             Self::Along => "motion along the direction of travel",
@@ -42,25 +42,25 @@ impl DegenerateMotion {
     }
 }
 
-/// What was taken where scans constrained nothing.
+/// Source of the motion where scans do not constrain it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Substitute {
-    /// What odometry measured.
+    /// Measurement of odometry.
     Odometry,
-    /// What a gyroscope measured.
+    /// Measurement of a gyroscope.
     Gyroscope,
-    /// That it stands: the IMU is at rest.
+    /// Zero-velocity update: the IMU is at rest.
     Rest,
-    /// The velocity before, changed as an accelerometer measured.
+    /// Previous velocity, changed by the measurement of an accelerometer.
     Accelerometer,
-    /// What correlation of what stands upright tells against sweeps about a second before.
+    /// Correlation of vertical structures with sweeps about a second before.
     Correlation,
-    /// That it moves on as it did before: nothing measured it.
+    /// Constant velocity: the motion is unmeasured.
     Velocity,
 }
 
 impl Substitute {
-    /// In words, before "was used".
+    /// Its name in words, before "was used".
     pub fn name(self) -> &'static str {
         match self {
             Self::Odometry => "odometry",
@@ -73,58 +73,58 @@ impl Substitute {
     }
 }
 
-/// An interval in which scans left a direction unconstrained, and the prediction decided there.
+/// An interval in which scans did not constrain a direction, so that the prediction determined it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DegenerateInterval {
     /// Time of the first such scan.
     pub start: Time,
     /// Time of the last one.
     pub end: Time,
-    /// How many there were.
+    /// Number of degenerate scans.
     pub scans: u64,
-    /// How long they took together, seconds.
+    /// Sum of their durations, seconds.
     pub seconds: f64,
-    /// What was not constrained.
+    /// Component of motion that was not constrained.
     pub motion: DegenerateMotion,
-    /// What was taken for it.
+    /// Source that was used for it instead.
     pub taken: Substitute,
-    /// Standard deviation of the error that has gathered at the end, metres or radians; none where it is not known.
+    /// Standard deviation of the accumulated error at the end, metres or radians; none where it is unknown.
     pub sigma: Option<f64>,
-    /// The direction or axis in the tracking frame, unit length, of the first such scan.
+    /// Direction or axis in the tracking frame, unit length, of the first such scan.
     pub direction_in_tracking: Vector3,
 }
 
-/// One scan that left a direction unconstrained.
+/// A scan that does not constrain a direction.
 #[derive(Clone, Copy, Debug)]
 pub struct DegenerateScan {
     /// When it was taken.
     pub time: Time,
-    /// Since the scan before.
+    /// Time since the scan before, seconds.
     pub seconds: f64,
-    /// What was taken for what it left open.
+    /// Source that was used for the degenerate directions.
     pub taken: Substitute,
-    /// Standard deviation of that, metres or radians; none where it is not known.
+    /// Standard deviation of its motion, metres or radians; none where it is unknown.
     pub sigma: Option<f64>,
 }
 
 /// Joins degenerate scans to intervals.
 #[derive(Clone, Debug)]
 pub struct DegenerateIntervals {
-    /// Slower, m/s, it may as well stand: the direction of motion is not known anew.
+    /// Speed below which the platform may be at rest, m/s: the direction of motion is then not updated.
     resting_speed: f64,
-    /// Velocities are averaged over about this long, seconds, as accelerations are; scans farther apart than this belong to
-    /// different intervals.
+    /// Approximate time over which velocities are averaged, seconds, as for accelerations. Scans farther
+    /// apart belong to different intervals.
     averaged_over: f64,
     intervals: Vec<DegenerateInterval>,
-    /// The horizontal direction in which it last went, in the tracking frame.
+    /// The last known horizontal direction of motion, in the tracking frame.
     heading: Option<Vector3>,
-    /// m/s, in the tracking frame, averaged.
+    /// Averaged velocity in the tracking frame, m/s.
     velocity: Vector3,
 }
 
 impl DegenerateIntervals {
-    /// None so far. A platform that is slower than `resting_speed`, m/s, may as well stand; velocities are averaged over
-    /// `averaged_over` seconds, and scans farther apart than this belong to different intervals.
+    /// Without intervals. A platform slower than `resting_speed`, m/s, may be at rest. Velocities are
+    /// averaged over `averaged_over` seconds, and scans farther apart belong to different intervals.
     pub fn new(resting_speed: f64, averaged_over: f64) -> Self {
         Self {
             resting_speed,
@@ -135,7 +135,7 @@ impl DegenerateIntervals {
         }
     }
 
-    /// Takes notice of how it moved within some seconds: translation (metres) and the direction up, both in the tracking
+    /// Takes the motion during some seconds: translation (metres) and the direction up, both in the tracking
     /// frame.
     pub fn moved(&mut self, translation: &Vector3, seconds: f64, up: &Vector3) {
         let weight = (seconds / self.averaged_over).min(1.0);
@@ -146,7 +146,8 @@ impl DegenerateIntervals {
         }
     }
 
-    /// Counts a scan that left translations along these directions (orthonormal, in the tracking frame) unconstrained.
+    /// Counts a scan that does not constrain translations along these directions (orthonormal, in the
+    /// tracking frame).
     pub fn add_translations(&mut self, scan: &DegenerateScan, directions: &[Vector3], up: &Vector3) {
         let forward = self.heading.unwrap_or_else(Vector3::x);
         let along = (forward - up * forward.dot(up)).try_normalize(1e-6).unwrap_or_else(Vector3::x);
@@ -158,7 +159,8 @@ impl DegenerateIntervals {
         self.add_nearest(scan, directions, &axes);
     }
 
-    /// Counts a scan that left rotations about these axes (orthonormal, in the tracking frame) unconstrained.
+    /// Counts a scan that does not constrain rotations about these axes (orthonormal, in the tracking
+    /// frame).
     pub fn add_rotations(&mut self, scan: &DegenerateScan, directions: &[Vector3], up: &Vector3) {
         let along = up.cross(&Vector3::y()).try_normalize(1e-6).unwrap_or_else(Vector3::x);
         let axes = [
@@ -169,8 +171,8 @@ impl DegenerateIntervals {
         self.add_nearest(scan, directions, &axes);
     }
 
-    /// As many of the axes as there are degenerate directions: those that lie nearest to the space that these span.
-    /// Which directions span it is chance.
+    /// Counts as many of the axes as there are degenerate directions: those nearest to the space that the
+    /// directions span. Which basis of that space they form is arbitrary.
     fn add_nearest(
         &mut self,
         scan: &DegenerateScan,
@@ -188,12 +190,12 @@ impl DegenerateIntervals {
 
     fn add(&mut self, scan: &DegenerateScan, motion: DegenerateMotion, direction: &Vector3) {
         let DegenerateScan { time, seconds, taken, sigma } = *scan;
-        // More are counted with the last one, so that memory is bounded.
+        // Further ones are counted with the last one, so that memory is bounded.
         let full = self.intervals.len() >= MAX_INTERVALS;
         let gap = Duration::from_seconds(self.averaged_over);
         let last = self.intervals.iter_mut().rev().find(|s| s.motion == motion && s.taken == taken);
         match last.filter(|interval| full || time - interval.end <= gap) {
-            // Both ways to tilt count once.
+            // Both tilt axes count once.
             Some(interval) if interval.end == time => {}
             Some(interval) => {
                 interval.scans += 1;
@@ -218,7 +220,7 @@ impl DegenerateIntervals {
         }
     }
 
-    /// All intervals in order of their beginning.
+    /// All intervals in order of their start.
     pub fn all(&self) -> &[DegenerateInterval] {
         &self.intervals
     }
@@ -240,7 +242,7 @@ mod tests {
     #[test]
     fn scans_of_one_corridor_are_one_interval() {
         let mut found = intervals();
-        // It goes to the left of the sensor.
+        // The platform moves to the left of the sensor.
         found.moved(&Vector3::new(0.0, 1.2, 0.3), 1.0, &Vector3::z());
         for i in 0..30 {
             found.add_translations(&scan(0.1 * f64::from(i)), &[Vector3::y()], &Vector3::z());
@@ -267,7 +269,7 @@ mod tests {
         let mut found = intervals();
         let (a, b) = (Vector3::new(0.6, 0.8, 0.0), Vector3::new(-0.8, 0.6, 0.0));
         found.add_translations(&scan(0.0), &[a, b], &Vector3::z());
-        // A slope leaves hardly anything of the vertical open.
+        // On a slope, hardly any of the degenerate direction is vertical.
         let steep = Vector3::new(0.9, 0.0, 0.436);
         found.add_translations(&scan(9.0), &[steep], &Vector3::z());
         let motions: Vec<DegenerateMotion> = found.all().iter().map(|s| s.motion).collect();

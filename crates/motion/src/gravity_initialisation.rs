@@ -1,4 +1,4 @@
-//! Waiting for gravity: how a trajectory begins, upright as an IMU says, or level where there is none.
+//! Starts a trajectory: upright after measuring the direction of gravity with an IMU, or level without one.
 
 use std::collections::VecDeque;
 
@@ -7,13 +7,14 @@ use portolan_sensor::{ImuData, OdometryData};
 
 use crate::{ExtrapolatorError, PoseExtrapolator};
 
-/// The odometry poses that are kept before the first sweep, which wants to know how the platform was moving.
+/// Number of odometry poses that are kept before the first sweep: they give the motion of the platform at
+/// its start.
 const ODOMETRY_POSES: usize = 2;
 
-/// So many samples are averaged at most, which bounds memory.
+/// Maximum number of samples that are averaged, which bounds memory.
 const MAX_SAMPLES: usize = 4000;
 
-/// Sweeps that wait for the beginning of a trajectory.
+/// Sweeps that wait for the start of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WaitingSweeps {
     /// Time of the first point of the first one.
@@ -24,19 +25,21 @@ pub struct WaitingSweeps {
     pub last_end: Time,
 }
 
-/// A trajectory that has begun.
+/// A trajectory that has started.
 #[derive(Clone, Debug)]
 pub struct Beginning {
     /// Predicts from the first pose on.
     pub extrapolator: PoseExtrapolator,
-    /// The samples that told which way is up, of which the extrapolator has the first. Empty without an IMU.
+    /// The samples from which the direction of gravity was measured; the extrapolator contains the first.
+    /// Empty without an IMU.
     pub imu: Vec<ImuData>,
 }
 
-/// Gathers what comes before a trajectory begins.
+/// Gathers measurements before a trajectory starts.
 #[derive(Clone, Debug)]
 pub struct GravityInitialisation {
-    /// How long sweeps wait for the first sample, and accelerations are averaged.
+    /// Time for which sweeps wait for the first sample; accelerations are then averaged over
+    /// `averaged_over`.
     imu_wait: Duration,
     averaged_over: Duration,
     imu: Vec<ImuData>,
@@ -44,7 +47,8 @@ pub struct GravityInitialisation {
 }
 
 impl GravityInitialisation {
-    /// Nothing yet. Accelerations are averaged over so many seconds, and sweeps wait as long for the first of them.
+    /// Without measurements. Accelerations are averaged over `leveling_seconds`, and sweeps wait as long for
+    /// the first of them.
     pub fn new(leveling_seconds: f64) -> Self {
         let leveling_time = Duration::from_seconds(leveling_seconds);
         Self {
@@ -55,7 +59,8 @@ impl GravityInitialisation {
         }
     }
 
-    /// Nothing yet. One sample tells which way is up; sweeps wait for it for so many seconds.
+    /// Without measurements. A single sample determines the direction of gravity; sweeps wait `wait_seconds`
+    /// for it.
     pub fn of_one_sample(wait_seconds: f64) -> Self {
         Self { averaged_over: Duration::ZERO, ..Self::new(wait_seconds) }
     }
@@ -77,7 +82,7 @@ impl GravityInitialisation {
         Ok(())
     }
 
-    /// Takes an odometry pose. The newest are kept.
+    /// Takes an odometry pose. Only the newest are kept.
     pub fn add_odometry(&mut self, data: &OdometryData) {
         self.odometry.push_back(*data);
         if self.odometry.len() > ODOMETRY_POSES {
@@ -85,7 +90,7 @@ impl GravityInitialisation {
         }
     }
 
-    /// Whether enough is known, or too little comes to wait for more.
+    /// Whether enough was measured, or the sweeps have waited long enough.
     pub fn is_ready(&self, waiting: Option<&WaitingSweeps>) -> bool {
         let waited = waiting.map_or(Duration::ZERO, |sweeps| sweeps.last_end - sweeps.first_end);
         let averaged = match (self.imu.first(), self.imu.last()) {
@@ -102,8 +107,8 @@ impl GravityInitialisation {
         }
     }
 
-    /// Begins at the first IMU sample, upright as all of them together say; or without one, level at the first sweep.
-    /// None if there is neither, or if the samples are no accelerations.
+    /// Starts at the first IMU sample, upright according to the mean of all samples; or without samples,
+    /// level at the first sweep. None if there is neither, or if the samples are no accelerations.
     pub fn begin(
         &mut self,
         extrapolator: PoseExtrapolator,
@@ -121,14 +126,14 @@ impl GravityInitialisation {
             }
         };
         for odometry in self.odometry.drain(..) {
-            // The extrapolator counts what it does not take.
+            // The extrapolator counts measurements that it rejects.
             let _ = extrapolator.add_odometry(&odometry);
         }
         Some(Beginning { extrapolator, imu })
     }
 }
 
-/// The mean of accelerations (m/s²) as seen from the tracking frame at the first sample, turned there by the gyroscope.
+/// Mean of accelerations (m/s²) in the tracking frame at the first sample, rotated there by the gyroscope.
 /// None without a sample.
 fn mean_acceleration(samples: &[ImuData]) -> Option<Vector3> {
     let mut turned = Quaternion::identity();
@@ -202,7 +207,7 @@ mod tests {
 
     #[test]
     fn the_mean_over_steps_and_turns_points_up() {
-        // It turns about x and y by turns, and shakes.
+        // It rotates alternately about x and y, and vibrates.
         let rate = |t: f64| Vector3::new(0.5 * (6.0 * t).cos(), -0.4 * (5.0 * t).sin(), 0.4);
         let mut turned = Quaternion::identity();
         let mut samples = Vec::new();

@@ -1,15 +1,15 @@
-//! What an IMU measured between two times (`slam3d.md` §8).
+//! Integrates IMU measurements between two times (`slam3d.md` §8).
 
 use std::collections::BTreeMap;
 
 use portolan_geometry::{Duration, Quaternion, Time, Vector3, quaternion_from_angle_axis};
 use portolan_sensor::ImuData;
 
-/// Longer than this without a sample, seconds, nothing is known of the motion.
+/// Interval without samples above which the motion is unknown, seconds.
 const MAX_GAP: f64 = 0.5;
 
-/// Change of velocity, place and rotation between two times, in the tracking frame at the first, gravity
-/// included.
+/// Change of velocity, position and rotation between two times, in the tracking frame at the first,
+/// including the effect of gravity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImuMotion {
     /// m/s.

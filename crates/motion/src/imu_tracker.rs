@@ -1,8 +1,8 @@
-//! Orientation from gyroscope and accelerometer (`slam2d.md` §4.1).
+//! Estimates orientation from gyroscope and accelerometer (`slam2d.md` §4.1).
 
 use portolan_geometry::{Quaternion, Time, Vector3, quaternion_from_angle_axis, rotation_between};
 
-/// Tracks the orientation by integrating angular velocity, and keeps it upright with the slow average
+/// Tracks the orientation by integrating angular velocity, and corrects roll and pitch with a slow average
 /// of the acceleration, in which only gravity remains. Heading drifts freely.
 #[derive(Clone, Copy, Debug)]
 pub struct ImuTracker {
@@ -16,8 +16,8 @@ pub struct ImuTracker {
 }
 
 impl ImuTracker {
-    /// Upright and at rest at `time`. Accelerations are averaged over `gravity_time_constant` seconds:
-    /// longer trusts the gyroscope more.
+    /// Upright and at rest at `time`. Accelerations are averaged over `gravity_time_constant` seconds: a
+    /// longer time relies more on the gyroscope.
     pub fn new(gravity_time_constant: f64, time: Time) -> Self {
         Self {
             gravity_time_constant,
@@ -29,7 +29,7 @@ impl ImuTracker {
         }
     }
 
-    /// Turns with the current angular velocity until `time`. A time in the past changes nothing.
+    /// Integrates the current angular velocity until `time`. A time in the past changes nothing.
     pub fn advance(&mut self, time: Time) {
         if time <= self.time {
             return;
@@ -54,17 +54,17 @@ impl ImuTracker {
         self.orientation = Quaternion::new_normalize((self.orientation * correction).into_inner());
     }
 
-    /// Takes the angular velocity in the tracking frame, rad/s, that holds from now on.
+    /// Takes the angular velocity in the tracking frame, rad/s, that is valid from now on.
     pub fn set_angular_velocity(&mut self, angular_velocity: &Vector3) {
         self.angular_velocity = *angular_velocity;
     }
 
-    /// The time that the orientation belongs to.
+    /// Time of the orientation.
     pub fn time(&self) -> Time {
         self.time
     }
 
-    /// From the tracking frame to one that is level.
+    /// Rotation from the tracking frame to a level one.
     pub fn orientation(&self) -> Quaternion {
         self.orientation
     }

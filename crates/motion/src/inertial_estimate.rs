@@ -1,12 +1,12 @@
-//! What an inertial filter knows, how sure it is of that, and how both change with time and with measurements: an error-state Kalman
-//! filter over pose, velocity, the biases of gyroscope and accelerometer, and gravity (Solà 2017, "Quaternion kinematics for the
-//! error-state Kalman filter").
+//! State of the inertial filter with its uncertainty, and their change with time and with measurements: an
+//! error-state Kalman filter over pose, velocity, the biases of gyroscope and accelerometer, and gravity
+//! (Solà 2017, "Quaternion kinematics for the error-state Kalman filter").
 //!
 //! ```text
 //! a = R (f − b_a) − g,   p ← p + ∫ v dt,   v ← v + ∫ a dt,   R ← R Exp(∫ (ω − b_ω) dt)
 //! ```
 //!
-//! with specific force f, turn rate ω and the force at rest g.
+//! with specific force f, angular velocity ω and the specific force at rest g.
 
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{
@@ -22,12 +22,13 @@ const SIZE: usize = 18;
 type Covariance = na::SMatrix<f64, SIZE, SIZE>;
 type Matrix3 = na::Matrix3<f64>;
 
-/// Entries of the error state: each three, in the local map but for the biases, which are in the tracking frame.
+/// Entries of the error state, three numbers each: in the local map, except for the biases, which are in the
+/// tracking frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InertialEntry {
-    /// Metres.
+    /// Position, metres.
     Place = 0,
-    /// m/s.
+    /// Velocity, m/s.
     Velocity = 3,
     /// A rotation vector in the local map, radians.
     Rotation = 6,
@@ -35,7 +36,7 @@ pub enum InertialEntry {
     Gyroscope = 9,
     /// Bias of the accelerometer, m/s².
     Accelerometer = 12,
-    /// What an accelerometer without bias measures at rest, m/s².
+    /// Specific force at rest that an accelerometer without bias measures, m/s².
     Force = 15,
 }
 
@@ -44,19 +45,19 @@ use InertialEntry::{Accelerometer, Force, Gyroscope, Place, Rotation, Velocity};
 /// Errors of an IMU (standard deviations).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InertialNoise {
-    /// Noise of turn rates: how far rotations drift within a second beside the bias, radians.
+    /// Noise of angular velocities: drift of the rotation within a second in addition to the bias, radians.
     pub turn: f64,
-    /// Errors of scale and alignment of the gyroscope, which grow with the turn rate.
+    /// Errors of scale and alignment of the gyroscope, as a fraction of the angular velocity.
     pub turn_scale: f64,
-    /// Bias of the gyroscope before anything is known, rad/s …
+    /// Bias of the gyroscope before it is estimated, rad/s.
     pub gyroscope_bias: f64,
-    /// … and how far it wanders within a second, rad/s.
+    /// Random walk of the bias of the gyroscope within a second, rad/s.
     pub gyroscope_walk: f64,
     /// Noise of accelerations averaged over a second, m/s².
     pub acceleration: f64,
-    /// Bias of the accelerometer before anything is known, m/s².
+    /// Bias of the accelerometer before it is estimated, m/s².
     pub accelerometer_bias: f64,
-    /// How far gravity wanders in the local map within a second, because that drifts, m/s².
+    /// Random walk of gravity in the local map within a second, because the local map drifts, m/s².
     pub gravity_walk: f64,
 }
 
@@ -64,22 +65,22 @@ pub struct InertialNoise {
 /// applied after the rotation.
 #[derive(Clone, Debug)]
 pub struct InertialEstimate {
-    /// Metres.
+    /// Position, metres.
     pub place: Vector3,
-    /// m/s.
+    /// Velocity, m/s.
     pub velocity: Vector3,
-    /// Tracking in local.
+    /// Orientation of the tracking frame in the local map.
     pub rotation: Quaternion,
-    /// rad/s.
+    /// Bias of the gyroscope, rad/s.
     pub gyroscope_bias: Vector3,
-    /// m/s².
+    /// Bias of the accelerometer, m/s².
     pub accelerometer_bias: Vector3,
-    /// What an accelerometer without bias measures at rest, m/s²: it points up.
+    /// Specific force at rest that an accelerometer without bias measures, m/s²: it points up.
     pub force_at_rest: Vector3,
     covariance: Covariance,
 }
 
-/// What an IMU measured over some time, as the covariance needs it.
+/// IMU measurements over some time, preintegrated for the covariance.
 #[derive(Clone, Debug)]
 pub struct Preintegrated {
     seconds: f64,
@@ -102,8 +103,8 @@ fn diagonal(sigma: f64) -> Matrix3 {
 }
 
 impl InertialEstimate {
-    /// Nothing but the rotation (tracking in local), and the force that an accelerometer measured (m/s² in the local map), which
-    /// is that at rest but for so much.
+    /// Only the rotation is known (tracking in local), and the force that an accelerometer measured (m/s² in
+    /// the local map). `force_sigma` is the standard deviation of its difference from the force at rest.
     pub fn first(
         rotation: Quaternion,
         (force, force_sigma): (Vector3, f64),
@@ -122,7 +123,7 @@ impl InertialEstimate {
         };
         estimate.set(Gyroscope, &diagonal(noise.gyroscope_bias));
         estimate.set(Accelerometer, &diagonal(noise.accelerometer_bias));
-        // Where gravity points to the accelerometer alone tells.
+        // Only the accelerometer measures the direction of gravity.
         estimate.set(Force, &diagonal(gravity));
         estimate.keep_strength(gravity);
         let mut jacobian = na::SMatrix::<f64, 3, SIZE>::zeros();
@@ -135,8 +136,8 @@ impl InertialEstimate {
         estimate
     }
 
-    /// At a pose (tracking in local) of a local map whose z axis points up, at rest but for so many m/s. Place, rotation and velocity
-    /// are known as well as `sigmas` say.
+    /// At a pose (tracking in local) of a local map whose z axis points up, at rest up to a standard
+    /// deviation in m/s. `sigmas` are the standard deviations of position, rotation and velocity.
     pub fn in_level_map(
         local_from_tracking: &Rigid3,
         sigmas: [f64; 3],
@@ -154,8 +155,8 @@ impl InertialEstimate {
         estimate
     }
 
-    /// Goes on from another pose (tracking in local) and velocity, of which place, rotation and velocity are known so well.
-    /// Biases and gravity remain what they are.
+    /// Continues from another pose (tracking in local) and velocity, with these standard deviations of
+    /// position, rotation and velocity. Biases and gravity stay unchanged.
     pub fn moved_to(&mut self, local_from_tracking: &Rigid3, velocity: Vector3, sigmas: [f64; 3]) {
         self.place = local_from_tracking.translation.vector;
         self.rotation = local_from_tracking.rotation;
@@ -165,7 +166,7 @@ impl InertialEstimate {
         }
     }
 
-    /// Nothing told of three entries any more: they are off by so much, whatever else is.
+    /// Resets three entries to this standard deviation, uncorrelated with all others.
     pub fn forget(&mut self, entry: InertialEntry, sigma: f64) {
         self.covariance.fixed_rows_mut::<3>(entry as usize).fill(0.0);
         self.covariance.fixed_columns_mut::<3>(entry as usize).fill(0.0);
@@ -186,12 +187,13 @@ impl InertialEstimate {
         self.covariance.fixed_view::<3, 3>(entry as usize, entry as usize).into_owned()
     }
 
-    /// The acceleration in the local map at a sample, m/s².
+    /// Acceleration in the local map at a sample, m/s².
     pub fn acceleration(&self, rotation: &Quaternion, sample: &ImuData) -> Vector3 {
         rotation * (sample.linear_acceleration - self.accelerometer_bias) - self.force_at_rest
     }
 
-    /// Standard deviation of what the accelerometer is believed to measure at rest, in the worst direction, m/s².
+    /// Standard deviation of the estimated reading of the accelerometer at rest, in the worst direction,
+    /// m/s².
     pub fn force_sigma(&self) -> f64 {
         let turn = self.rotation.to_rotation_matrix();
         let mixed = turn * self.covariance.fixed_view::<3, 3>(Accelerometer as usize, Force as usize);
@@ -200,7 +202,7 @@ impl InertialEstimate {
         worst_sigma(&sum)
     }
 
-    /// Moves the nominal state on by some seconds, in which a sample holds.
+    /// Propagates the nominal state by some seconds, in which a sample is valid.
     pub fn advance(&mut self, sample: &ImuData, seconds: f64, measured: &mut Preintegrated) {
         let turn = (sample.angular_velocity - self.gyroscope_bias) * seconds;
         let middle = self.rotation * quaternion_from_angle_axis(&(turn * 0.5));
@@ -215,8 +217,8 @@ impl InertialEstimate {
         measured.squared_turn_rate += turn.norm_squared() / seconds.max(1e-9);
     }
 
-    /// Moves the nominal state on from one time to another; samples are in order of time, and what is measured changes evenly from
-    /// each to the next. Before the first and after the last one these hold.
+    /// Propagates the nominal state from one time to another. Samples are in order of time, and measurements
+    /// are interpolated linearly between them; before the first and after the last one, these are held.
     pub fn advance_along(
         &mut self,
         samples: &[ImuData],
@@ -240,8 +242,9 @@ impl InertialEstimate {
         }
     }
 
-    /// Moves the covariance on. The transition is that of Solà (2017, §5.4.1), integrated over all samples since the last sweep
-    /// at once (Forster et al. 2017) with force and rotation as even as they are within a sweep.
+    /// Propagates the covariance. The transition is that of Solà (2017, §5.4.1), integrated over all samples
+    /// since the last sweep at once (Forster et al. 2017), with force and rotation taken as constant within
+    /// a sweep.
     pub fn propagate(&mut self, measured: &Preintegrated, noise_scale: f64, errors: &InertialNoise) {
         let (t, a) = (measured.seconds, measured.rotation);
         let force = measured.force.cross_matrix();
@@ -280,7 +283,8 @@ impl InertialEstimate {
         self.keep_strength(self.force_at_rest.norm());
     }
 
-    /// Three entries were measured with this covariance, and are off by `innovation`.
+    /// Corrects with a measurement of three entries with this covariance, which differs from the state by
+    /// `innovation`.
     pub fn correct(&mut self, entry: InertialEntry, innovation: &Vector3, error: &Matrix3) {
         let mut jacobian = na::SMatrix::<f64, 3, SIZE>::zeros();
         jacobian.fixed_view_mut::<3, 3>(0, entry as usize).copy_from(&Matrix3::identity());
@@ -298,8 +302,8 @@ impl InertialEstimate {
         self.keep_strength(strength);
     }
 
-    /// Gravity is as strong as everywhere on Earth: it errs on a sphere (as in Xu and Zhang 2021), and what else the
-    /// accelerometer measures is its bias.
+    /// Keeps the magnitude of gravity, which is nearly the same everywhere on Earth: its error is on a
+    /// sphere (as in Xu and Zhang 2021), and the rest of the force is the bias of the accelerometer.
     fn keep_strength(&mut self, strength: f64) {
         let Some(up) = self.force_at_rest.try_normalize(1e-9) else { return };
         self.force_at_rest = up * strength;
@@ -324,7 +328,7 @@ impl InertialEstimate {
         }
     }
 
-    /// The error that takes another state here.
+    /// Error that, added to another state, gives this one.
     #[cfg(test)]
     fn minus(&self, other: &Self) -> na::SVector<f64, SIZE> {
         let mut error = na::SVector::<f64, SIZE>::zeros();
@@ -341,13 +345,13 @@ impl InertialEstimate {
         error
     }
 
-    /// From the rotation to another one, a rotation vector in the local map.
+    /// Rotation to another orientation, as a rotation vector in the local map.
     pub fn rotation_to(&self, other: &Quaternion) -> Vector3 {
         angle_axis_from_quaternion(&(other * self.rotation.inverse()))
     }
 }
 
-/// What an IMU measures between two samples.
+/// IMU measurement interpolated between two samples.
 fn between(before: &ImuData, after: &ImuData, time: Time) -> ImuData {
     let span = after.time.seconds_since(before.time).max(1e-9);
     let fraction = (time.seconds_since(before.time) / span).clamp(0.0, 1.0);
@@ -378,7 +382,7 @@ mod tests {
         gravity_walk: 0.0,
     };
 
-    /// Who speeds up, sways and turns.
+    /// A platform that accelerates, sways and turns.
     fn sample(t: f64) -> ImuData {
         ImuData {
             time: Time::from_ticks(0),
@@ -387,7 +391,7 @@ mod tests {
         }
     }
 
-    /// The transition of the covariance is what small errors do.
+    /// The transition of the covariance agrees with the propagation of small errors.
     #[test]
     fn the_covariance_goes_the_way_of_small_errors() {
         let rotation = quaternion_from_angle_axis(&Vector3::new(0.05, -0.1, 0.4));
@@ -404,7 +408,7 @@ mod tests {
             error[entry] = step;
             let moved = go(&first.plus(&error)).0;
             let mut numeric = end.minus(&moved) / -step;
-            // Gravity has only two.
+            // The error of gravity has only two degrees of freedom.
             numeric[SIZE - 1] = 0.0;
             let mut only = first.clone();
             only.covariance = Covariance::zeros();

@@ -1,4 +1,4 @@
-//! Measured poses at the times of nodes.
+//! Interpolates measured poses at the times of nodes.
 
 use std::collections::BTreeMap;
 

@@ -1,4 +1,4 @@
-//! Thins poses to those that differ (`slam2d.md` §10).
+//! Thins poses to those that differ from each other (`slam2d.md` §10).
 
 use portolan_geometry::{Duration, Rigid3, Time, rotation_angle};
 
@@ -27,8 +27,8 @@ impl MotionFilter {
         }
     }
 
-    /// Whether the pose is similar to the last one that passed. If not, it passes and is what later
-    /// ones are compared with. The first always passes.
+    /// Whether the pose is similar to the last one that passed. If not, it passes, and later ones are
+    /// compared with it. The first always passes.
     pub fn is_similar(&mut self, time: Time, pose: &Rigid3) -> bool {
         self.num_total += 1;
         let similar = self.last.as_ref().is_some_and(|(last_time, last)| {
@@ -43,12 +43,12 @@ impl MotionFilter {
         similar
     }
 
-    /// How many poses there were.
+    /// Number of poses.
     pub fn num_total(&self) -> u64 {
         self.num_total
     }
 
-    /// How many of them passed.
+    /// Number of poses that passed.
     pub fn num_different(&self) -> u64 {
         self.num_different
     }

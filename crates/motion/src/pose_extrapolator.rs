@@ -1,10 +1,10 @@
-//! Where the robot is between two matched scans (`slam2d.md` §4.2).
+//! Predicts the pose of the robot between two matched scans (`slam2d.md` §4.2).
 //!
-//! Two ways of predicting live here. Cartographer's goes on with constant velocity from the last
-//! pose: in a straight line, with one velocity from the oldest and newest odometry pose, and turning
-//! at the last known rate. With few scans a second and no IMU this loses the heading at every start
-//! and end of a turn. Ours (`use_all_odometry`) follows what odometry and gyroscope measured since the
-//! last pose, and goes on along an arc where they end.
+//! There are two kinds of prediction. Cartographer's assumes constant velocity from the last pose: a
+//! straight line, with one velocity from the oldest and newest odometry pose, and rotation at the last known
+//! rate. With few scans a second and no IMU, this loses the heading at every start and end of a turn. Ours
+//! (`use_all_odometry`) follows the measurements of odometry and gyroscope since the last pose, and
+//! continues along an arc where they end.
 
 mod faults;
 mod imu_based;
@@ -28,14 +28,14 @@ use imu_based::{ImuBasedExtrapolator, Prediction};
 use odometry_queue::{OdometryQueue, thin_out};
 use screw_motion::ScrewMotion;
 
-/// Most IMU samples that are kept while no pose arrives.
+/// Maximum number of IMU samples that are kept while no pose arrives.
 const IMU_CAPACITY: usize = 20_000;
-/// The gyroscope is given up when it has been silent for this long.
+/// Silence of the gyroscope after which it is no longer used.
 const IMU_TIMEOUT: Duration = Duration::from_ticks(5_000_000);
-/// Odometry that is kept from before the last pose, to know the velocity there.
+/// Duration of odometry before the last pose that is kept, to know the velocity there.
 const ODOMETRY_HISTORY: Duration = Duration::from_ticks(1_000_000);
 
-/// The three orientations that are followed.
+/// The three tracked orientations.
 #[derive(Clone, Copy, Debug)]
 struct Trackers {
     /// At the last pose.
@@ -64,20 +64,20 @@ pub struct PoseExtrapolator {
     /// Motion over the pose queue and the seconds that it took.
     recent_motion: Option<(ScrewMotion, f64)>,
     last_extrapolated_time: Option<Time>,
-    /// The last prediction, as long as nothing new is known.
+    /// The last prediction, as long as there are no new measurements.
     cached: Option<(Time, Rigid3)>,
     counts: ExtrapolatorCounts,
-    /// Predicts instead, if there is one.
+    /// Makes the predictions instead, if there is one.
     imu_based: Option<Box<ImuBasedExtrapolator>>,
-    /// What it predicted for the time that was prepared for.
+    /// Its prediction for the prepared time.
     prepared: Option<Prediction>,
 }
 
 impl PoseExtrapolator {
-    /// An extrapolator that knows nothing yet.
+    /// An extrapolator without measurements.
     ///
     /// Velocity is taken over at least `pose_queue_duration` seconds of poses; gravity is averaged over
-    /// `imu_gravity_time_constant` seconds. `use_all_odometry` chooses our way of predicting instead of
+    /// `imu_gravity_time_constant` seconds. `use_all_odometry` chooses our prediction instead of
     /// Cartographer's (see the module).
     pub fn new(pose_queue_duration: f64, imu_gravity_time_constant: f64, use_all_odometry: bool) -> Self {
         Self {
@@ -109,7 +109,7 @@ impl PoseExtrapolator {
         self
     }
 
-    /// What it knows but for odometry; an IMU-based fit keeps what it was given.
+    /// A copy without odometry; an IMU-based fit keeps its data.
     #[must_use]
     pub fn without_odometry(&self) -> Self {
         let mut without = self.clone();
@@ -120,13 +120,13 @@ impl PoseExtrapolator {
         without
     }
 
-    /// Says that poses until `time` will be asked for next. The fit of the IMU-based extrapolator is made
+    /// Announces that poses until `time` will be requested next. The IMU-based extrapolator makes its fit
     /// here, once for all of them.
     pub fn prepare(&mut self, time: Time) {
         self.prepared = self.imu_based.as_mut().and_then(|fit| fit.extrapolate(time));
     }
 
-    /// An extrapolator that starts at rest at an IMU sample, upright as its acceleration says.
+    /// An extrapolator that starts at rest at an IMU sample, upright according to its acceleration.
     pub fn from_imu(
         pose_queue_duration: f64,
         imu_gravity_time_constant: f64,
@@ -137,7 +137,8 @@ impl PoseExtrapolator {
         extrapolator.started_at_rest(imu_data)
     }
 
-    /// The extrapolator, still empty, started at rest at an IMU sample, upright as its acceleration says.
+    /// The extrapolator, still empty, started at rest at an IMU sample, upright according to its
+    /// acceleration.
     pub fn started_at_rest(mut self, imu_data: &ImuData) -> Result<Self, ExtrapolatorError> {
         let (imu_gravity_time_constant, mut extrapolator) = (self.gravity_time_constant, {
             self.add_imu(imu_data)?;
@@ -152,8 +153,8 @@ impl PoseExtrapolator {
         Ok(extrapolator)
     }
 
-    /// Goes on from a pose that nothing ties to those before, moving like this in so many seconds. What the IMU
-    /// measured stays; what odometry and poses told is forgotten.
+    /// Restarts from a pose that is unrelated to those before, with this motion in this time, seconds. IMU
+    /// samples are kept; odometry and earlier poses are dropped.
     pub fn begin_anew(&mut self, time: Time, local_from_tracking: Rigid3, motion: &Rigid3, seconds: f64) {
         self.poses.clear();
         self.odometry.clear();
@@ -166,8 +167,8 @@ impl PoseExtrapolator {
         self.add_pose(time, local_from_tracking);
     }
 
-    /// Takes the pose of a matched scan. One that is older than the last is counted and dropped; one at
-    /// the same time replaces it.
+    /// Takes the pose of a matched scan. One that is older than the last is counted and dropped; one at the
+    /// same time replaces the last.
     pub fn add_pose(&mut self, time: Time, local_from_tracking: Rigid3) {
         let last_time = self.last_pose_time();
         if !is_valid_pose(&local_from_tracking) || last_time.is_some_and(|last| time < last) {
@@ -237,7 +238,7 @@ impl PoseExtrapolator {
         result
     }
 
-    /// One sample at or before the last pose is needed, to know the rates there.
+    /// One sample at or before the last pose is kept, to know the rates there.
     fn trim_imu(&mut self) {
         let Some(last_pose_time) = self.last_pose_time() else { return };
         while self.imu.get(1).is_some_and(|second| second.time <= last_pose_time) {
@@ -245,8 +246,8 @@ impl PoseExtrapolator {
         }
     }
 
-    /// Takes an odometry pose, in order of time. Cartographer's way of predicting has no use for one
-    /// that is older than the last pose.
+    /// Takes an odometry pose, in order of time. Cartographer's prediction does not use one that is older
+    /// than the last pose.
     pub fn add_odometry(&mut self, data: &OdometryData) -> Result<(), ExtrapolatorError> {
         let last_pose_time = self.last_pose_time();
         let result = if !is_valid_pose(&data.odom_from_tracking) {
@@ -293,8 +294,8 @@ impl PoseExtrapolator {
         self.trackers = Some(trackers);
     }
 
-    /// A tracker moved on to `time` with what the IMU measured, or else with a level IMU that turns as
-    /// odometry or poses do.
+    /// A tracker advanced to `time` with the measurements of the IMU, or else with a level IMU that rotates
+    /// like odometry or poses.
     fn advanced(&self, mut tracker: ImuTracker, time: Time) -> ImuTracker {
         let Some(first) = self.imu.front().filter(|first| first.time <= time) else {
             tracker.advance(time);
@@ -317,8 +318,8 @@ impl PoseExtrapolator {
         tracker
     }
 
-    /// The predicted pose at a time from the last pose on. For earlier times: between the last poses
-    /// with `use_all_odometry`, else the last pose. The identity while there is no pose at all.
+    /// The predicted pose at a time not before the last pose. For earlier times: interpolated between the
+    /// last poses with `use_all_odometry`, else the last pose. The identity while there is no pose at all.
     pub fn extrapolate_pose(&mut self, time: Time) -> Rigid3 {
         let (Some((last_time, last)), Some(trackers)) = (self.poses.back().copied(), self.trackers) else {
             self.counts.queries_too_early += 1;
@@ -346,16 +347,17 @@ impl PoseExtrapolator {
         pose
     }
 
-    /// Where odometry says that the tracking frame is, if its readings are too far apart to predict that by them: along what scans
-    /// do not tell it is the better witness all the same.
+    /// Pose of the tracking frame from odometry whose readings are too far apart to be used for the
+    /// prediction. Along degenerate directions of scans, it is still the better measurement.
     pub fn between_readings(&mut self, time: Time) -> Option<Rigid3> {
         let (last_time, last) = self.last_pose()?;
         Some(last * self.odometry.motion_between_readings(last_time, time)?)
     }
 
-    /// How the tracking frame turned since the last pose, as the trackers see it.
+    /// Rotation of the tracking frame since the last pose, from the trackers.
     fn turned(&mut self, trackers: Trackers, time: Time) -> Quaternion {
-        // A tracker cannot go back: for an earlier time than before start again from the last pose.
+        // A tracker cannot go back: for an earlier time than the last one, it starts again from the last
+        // pose.
         let can_go_on = trackers.extrapolation.time() <= time;
         let start = if can_go_on { trackers.extrapolation } else { trackers.main };
         let extrapolation = self.advanced(start, time);
@@ -374,8 +376,8 @@ impl PoseExtrapolator {
         Rigid3::from_parts(na::Translation3::from(translation), last.rotation * self.turned(trackers, time))
     }
 
-    /// Our prediction: the motion that odometry measured, or else that of the last poses continued;
-    /// turned as the gyroscope measured, if there is one.
+    /// Our prediction: the motion measured by odometry, or else the continued motion of the last poses; with
+    /// the rotation measured by the gyroscope, if there is one.
     fn follow_measurements(
         &mut self,
         last_time: Time,
@@ -391,13 +393,13 @@ impl PoseExtrapolator {
             return last * motion;
         }
         let turned = self.turned(trackers, time);
-        // The chord of an arc points half as far round as the arc turns.
+        // The chord of an arc has half the rotation of the arc.
         let difference = angle_axis_from_quaternion(&(turned * motion.rotation.inverse()));
         let chord = quaternion_from_angle_axis(&(difference / 2.0)) * motion.translation.vector;
         last * Rigid3::from_parts(na::Translation3::from(chord), turned)
     }
 
-    /// A pose from before the last, as far back as the queue goes.
+    /// A pose before the last one, limited to the poses in the queue.
     fn earlier_pose(&self, time: Time) -> Rigid3 {
         let after = self.poses.partition_point(|(t, _)| *t < time).max(1);
         match (self.poses.get(after - 1), self.poses.get(after)) {
@@ -409,8 +411,8 @@ impl PoseExtrapolator {
         }
     }
 
-    /// From the tracking frame to one that is level, at a time from the last pose on; identity while
-    /// there is no pose. Heading is arbitrary but follows the robot's.
+    /// Rotation from the tracking frame to a level one, at a time not before the last pose; identity while
+    /// there is no pose. Heading is arbitrary but follows that of the robot.
     pub fn estimate_gravity_orientation(&self, time: Time) -> Quaternion {
         if let Some(prediction) = self.prepared.as_ref().filter(|p| p.time == time) {
             return prediction.gravity_from_tracking;
@@ -423,44 +425,44 @@ impl PoseExtrapolator {
         self.poses.back().map(|(time, _)| *time)
     }
 
-    /// The last pose that was taken, with its time.
+    /// The last pose, with its time.
     pub fn last_pose(&self) -> Option<(Time, Rigid3)> {
         self.poses.back().copied()
     }
 
-    /// How the tracking frame turned between the last poses, rad/s in that frame.
+    /// Angular velocity of the tracking frame between the last poses, rad/s in that frame.
     pub fn angular_velocity_from_poses(&self) -> Vector3 {
         self.angular_velocity_from_poses
     }
 
-    /// Whether a gyroscope tells how the tracking frame turns until `time`.
+    /// Whether a gyroscope measures the rotation of the tracking frame until `time`.
     pub fn has_gyroscope(&self, time: Time) -> bool {
         self.imu.back().is_some_and(|newest| time - newest.time <= IMU_TIMEOUT)
     }
 
-    /// Whether odometry tells how the tracking frame moves until `time`.
+    /// Whether odometry measures the motion of the tracking frame until `time`.
     pub fn has_odometry(&self, time: Time) -> bool {
         let reaches = |newest: &OdometryData| time - newest.time <= IMU_TIMEOUT;
         self.odometry.len() > 1 && self.odometry.newest().is_some_and(reaches)
     }
 
-    /// Whether odometry or a gyroscope told anything of the motion from the last pose to a time.
+    /// Whether odometry or a gyroscope measured any of the motion from the last pose to a time.
     pub fn measured_since_last_pose(&self, until: Time) -> bool {
         let Some(last) = self.last_pose_time() else { return false };
         self.imu.back().is_some_and(|newest| newest.time > last) || self.odometry_since_last_pose(until)
     }
 
-    /// Whether odometry told the motion from the last pose to a time.
+    /// Whether odometry measured the motion from the last pose to a time.
     pub fn odometry_since_last_pose(&self, until: Time) -> bool {
         self.last_pose_time().is_some_and(|last| self.odometry.is_dense(last, until))
     }
 
-    /// Time of the last pose that was predicted, or taken.
+    /// Time of the last predicted or added pose.
     pub fn last_extrapolated_time(&self) -> Option<Time> {
         self.last_extrapolated_time
     }
 
-    /// What was not used or repaired so far.
+    /// Numbers of measurements that were rejected or repaired so far.
     pub fn counts(&self) -> ExtrapolatorCounts {
         self.counts
     }

@@ -1,28 +1,29 @@
-//! The end of the range of a gyroscope.
+//! Detects saturation of a gyroscope at the end of its measuring range.
 
 use portolan_geometry::Vector3;
 
-/// Finds samples at the end of the range of a gyroscope, axis by axis.
+/// Detects samples at the end of the range of a gyroscope, axis by axis.
 ///
-/// There a sensor repeats the same largest value, which noise does not let happen otherwise. Where the other axes repeat
-/// their values as well there is no noise, and an even rotation looks the same: then nothing is said.
+/// A saturated sensor repeats the same largest value, which noise otherwise prevents. If the other axes
+/// repeat their values as well, the data has no noise, and a constant rotation looks the same: then
+/// saturation is not reported.
 #[derive(Clone, Debug)]
 pub struct SaturationDetector {
-    /// No gyroscope ends at less, rad/s.
+    /// Smallest possible end of the range of a gyroscope, rad/s.
     least_end: f64,
-    /// So many times in a row the same value is its end.
+    /// Number of equal consecutive values from which the value is the end of the range.
     equal_in_a_row: u32,
     axes: [AxisValues; 3],
 }
 
-/// What one axis measured, rad/s.
+/// Values measured on one axis, rad/s.
 #[derive(Clone, Copy, Debug, Default)]
 struct AxisValues {
-    /// The ends of the values so far.
+    /// Smallest and largest value so far.
     least: f64,
     largest: f64,
     last: f64,
-    /// How often in a row it was the last one.
+    /// Number of consecutive values equal to the last one.
     equal: u32,
 }
 
@@ -40,8 +41,9 @@ impl AxisValues {
 }
 
 impl SaturationDetector {
-    /// Of a sensor that has measured nothing yet, and whose range does not end below `least_end`, rad/s. The largest value so
-    /// far, or the smallest, `equal_in_a_row` times is the end.
+    /// For a sensor without measurements so far, whose range does not end below `least_end`, rad/s. The
+    /// largest or smallest value so far is the end of the range if it occurs `equal_in_a_row` times in
+    /// succession.
     pub fn new(least_end: f64, equal_in_a_row: u32) -> Self {
         Self { least_end, equal_in_a_row, axes: [AxisValues::default(); 3] }
     }

@@ -1,36 +1,40 @@
-//! Zero-velocity updates: knowing that nothing moves, from an IMU at rest and sweeps that register where they did before.
+//! Zero-velocity updates: detects that the platform is at rest from an IMU at rest and from sweeps that
+//! register at the same pose.
 //!
-//! A scanner that stands among people sees walls that come and go behind them, and every sweep registers a little
-//! elsewhere. While the IMU is at rest, the median of the last poses is where it stands (a zero-velocity update as in
-//! pedestrian navigation: Foxlin, "Pedestrian Tracking with Shoe-Mounted Inertial Sensors", 2005; with the scans instead
-//! of an assumption as the last word: where their median moves, it moves).
+//! If the scanner stands among people, it sees walls that are occluded and reappear, and every sweep
+//! registers at a slightly different pose. While the IMU is at rest, the median of the last poses is taken
+//! as the pose (a zero-velocity update as in pedestrian navigation: Foxlin, "Pedestrian Tracking with
+//! Shoe-Mounted Inertial Sensors", 2005). Unlike there, the scans decide and not an assumption: where their
+//! median moves, the platform moves.
 
 use std::collections::VecDeque;
 
 use portolan_geometry::{Rigid3, Time, Vector3, angle_axis_from_quaternion, quaternion_from_angle_axis};
 use portolan_sensor::ImuData;
 
-/// Poses of a platform that stands lie within so many standard deviations of their median, but for outliers.
+/// Distance from their median, in standard deviations, within which most poses of a platform at rest are.
 const OUTLIER: f64 = 3.0;
-/// Poses are remembered so many times as long as it has to stand, and the newest third is compared with the others.
+/// Time for which poses are kept, as a multiple of the required time at rest; the newest third is compared
+/// with the others.
 const REMEMBERED: f64 = 3.0;
-/// Of fewer poses there are no thirds.
+/// Minimum number of poses, as they are split into thirds.
 const LEAST_POSES: usize = 3;
 
-/// What a platform at rest may seem to do.
+/// Tolerances within which a platform counts as at rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StandstillTolerances {
-    /// The IMU has to be at rest, and the last poses where those before them are, for so long, seconds.
+    /// Time for which the IMU has to be at rest, and for which the last poses have to agree with those
+    /// before them, seconds.
     pub time: f64,
-    /// Samples of the IMU are averaged over this long, seconds, so that vibrations do not count.
+    /// Time over which samples of the IMU are averaged, seconds, so that vibrations do not count.
     pub bin: f64,
     /// Standard deviation of averaged accelerations at rest, m/s².
     pub acceleration_error: f64,
-    /// Of turn rates, whose bias may not be known yet, rad/s.
+    /// Standard deviation of averaged angular velocities at rest, whose bias may still be unknown, rad/s.
     pub turn_rate_error: f64,
-    /// Wheels at rest report less speed, m/s.
+    /// Speed from odometry above which the platform moves, m/s.
     pub resting_speed: f64,
-    /// Standard deviation of registered places, metres.
+    /// Standard deviation of registered positions, metres.
     pub place_error: f64,
     /// Standard deviation of registered rotations, radians.
     pub rotation_error: f64,
@@ -43,21 +47,21 @@ struct Bin {
     turn_rate: Vector3,
 }
 
-/// Finds out whether the platform stands still.
+/// Detects whether the platform is at rest.
 #[derive(Clone, Debug)]
 pub struct ZeroVelocityDetector {
     tolerances: StandstillTolerances,
     bins: VecDeque<Bin>,
-    /// The bin that is being filled: since when, samples, and their sum.
+    /// The bin that is being filled: its start, the number of samples, and their sum.
     filling: Option<(Time, u32, Bin)>,
-    /// Poses (tracking in local) at which sweeps were registered, not those that were made of them.
+    /// Poses (tracking in local) at which sweeps were registered, before any zero-velocity update.
     poses: VecDeque<(Time, Rigid3)>,
-    /// How far odometry has drifted since it stands, metres.
+    /// Sum of the translations from odometry while at rest, metres.
     drift: Vector3,
 }
 
 impl ZeroVelocityDetector {
-    /// That knows nothing yet.
+    /// A detector without measurements.
     pub fn new(tolerances: &StandstillTolerances) -> Self {
         Self {
             tolerances: *tolerances,
@@ -68,7 +72,7 @@ impl ZeroVelocityDetector {
         }
     }
 
-    /// Takes a sample without the bias of the gyroscope.
+    /// Takes a sample from which the bias of the gyroscope was subtracted.
     pub fn add_imu(&mut self, data: &ImuData) {
         let (duration, wanted_bins) = (self.tolerances.bin, self.wanted_bins());
         let (since, count, sum) = self.filling.get_or_insert((data.time, 0, Bin::default()));
@@ -77,7 +81,7 @@ impl ZeroVelocityDetector {
             let weight = 1.0 / f64::from(*count);
             let mean = Bin { acceleration: sum.acceleration * weight, turn_rate: sum.turn_rate * weight };
             self.bins.push_back(mean);
-            // A gap tells nothing of what happened in it.
+            // The motion during a gap is unknown.
             if !(0.0..10.0 * duration).contains(&age) {
                 self.bins.clear();
             }
@@ -101,9 +105,9 @@ impl ZeroVelocityDetector {
         }
     }
 
-    /// Takes the translation that odometry measured since the last sweep (metres) and how long that took (seconds).
-    /// Scans that leave a direction open register where the scanner is believed to stand, and an IMU feels no even
-    /// motion: what odometry saw moving does not stand.
+    /// Takes the translation from odometry since the last sweep (metres) and its duration (seconds). Scans
+    /// with a degenerate direction register at the predicted pose, and an IMU does not measure constant
+    /// velocity. So motion measured by odometry means that the platform is not at rest.
     pub fn add_odometry(&mut self, translation: &Vector3, seconds: f64) {
         if translation.norm() > self.tolerances.resting_speed * seconds {
             self.poses.clear();
@@ -117,7 +121,7 @@ impl ZeroVelocityDetector {
         }
     }
 
-    /// Where the platform stands (tracking in local), if it does.
+    /// Pose of the platform (tracking in local), if it is at rest.
     pub fn pose(&self) -> Option<Rigid3> {
         let is_resting = self.bins.len() >= self.wanted_bins() && self.imu_rests();
         if !is_resting || !self.sweeps_are_enough() {
@@ -139,28 +143,28 @@ impl ZeroVelocityDetector {
         (is_steady && most_are_near(older)).then_some(stands)
     }
 
-    /// Whether the sweeps whose poses are known, each as long as from one to the next, cover the time that it has to stand, to
-    /// the nearest sweep.
+    /// Whether the sweeps with poses, each with the duration of the mean interval, cover the required time
+    /// at rest, rounded to a sweep.
     fn sweeps_are_enough(&self) -> bool {
         let (Some(first), Some(last)) = (self.poses.front(), self.poses.back()) else { return false };
         let interval = last.0.seconds_since(first.0) / (self.poses.len() as f64 - 1.0).max(1.0);
         self.poses.len() >= LEAST_POSES && (self.poses.len() as f64 + 0.5) * interval >= self.tolerances.time
     }
 
-    /// The mean specific force (m/s²) of an IMU that has been at rest for half of the wanted time or more.
+    /// Mean specific force (m/s²) of an IMU that has been at rest for at least half of the required time.
     pub fn force_at_rest(&self) -> Option<f64> {
         let sum: Vector3 = self.bins.iter().map(|bin| bin.acceleration).sum();
         let is_resting = self.bins.len() >= self.wanted_bins() / 2 && self.imu_rests();
         is_resting.then(|| sum.norm() / self.bins.len() as f64)
     }
 
-    /// So many bins are as long as it has to be at rest.
+    /// Number of bins in the required time at rest.
     fn wanted_bins(&self) -> usize {
         (self.tolerances.time / self.tolerances.bin).round() as usize
     }
 
-    /// The generalised likelihood ratio of an IMU at rest (Skog et al. 2010): accelerations are what they are in the mean, and
-    /// turn rates are zero, both but for their noise.
+    /// Generalised likelihood ratio test of an IMU at rest (Skog et al. 2010): up to noise, accelerations
+    /// equal their mean and angular velocities are zero.
     fn imu_rests(&self) -> bool {
         let count = self.bins.len() as f64;
         let mean = self.bins.iter().map(|bin| bin.acceleration).sum::<Vector3>() / count;
@@ -178,7 +182,7 @@ fn distance(a: &Rigid3, b: &Rigid3) -> (f64, f64) {
     (difference.translation.vector.norm(), difference.rotation.angle())
 }
 
-/// The median of each coordinate of poses near each other, turns as seen from the last one.
+/// Median of each coordinate of poses near each other, with rotations relative to the last one.
 fn median(poses: &[Rigid3]) -> Option<Rigid3> {
     let reference = poses.last()?.rotation;
     let turn = |pose: &Rigid3| angle_axis_from_quaternion(&(reference.inverse() * pose.rotation));
@@ -187,7 +191,7 @@ fn median(poses: &[Rigid3]) -> Option<Rigid3> {
     Some(Rigid3::from_parts(place.into(), reference * quaternion_from_angle_axis(&turn)))
 }
 
-/// The median of each coordinate.
+/// Median of each coordinate.
 fn median_of(vectors: &[Vector3]) -> Option<Vector3> {
     let middle = |coordinate: fn(&Vector3) -> f64| {
         let mut values: Vec<f64> = vectors.iter().map(coordinate).collect();
@@ -219,7 +223,7 @@ mod tests {
     }
 
     fn sample(seconds: f64, acceleration: f64) -> ImuData {
-        // A fast tremble is no motion.
+        // Fast vibration is no motion.
         let tremble = if (seconds * 200.0).round() as i64 % 2 == 0 { 0.5 } else { -0.5 };
         ImuData {
             time: time(seconds),
@@ -228,7 +232,8 @@ mod tests {
         }
     }
 
-    /// Ten seconds of matches along x at `speed`, every seventh one pulled away; the IMU sways by `sway`.
+    /// Ten seconds of matches along x at `speed`, of which every seventh is displaced; the IMU sways by
+    /// `sway`.
     fn after_ten_seconds(speed: f64, sway: f64) -> Option<Rigid3> {
         let mut detector = detector();
         for i in 0..2000 {
@@ -259,7 +264,7 @@ mod tests {
                     if i > 1000 {
                         detector.add_odometry(&(Vector3::x() * speed * 0.1), 0.1);
                     }
-                    // As matches in a tunnel: where it was believed to be.
+                    // As matches in a tunnel: at the predicted pose.
                     detector.add_pose(time(t), &Rigid3::identity());
                 }
             }

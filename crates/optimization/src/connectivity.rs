@@ -18,7 +18,7 @@ fn ordered(a: TrajectoryId, b: TrajectoryId) -> (TrajectoryId, TrajectoryId) {
 }
 
 impl TrajectoryConnectivity {
-    /// Makes a trajectory known, connected only to itself.
+    /// Adds a trajectory, connected only to itself.
     pub fn add(&mut self, trajectory_id: TrajectoryId) {
         self.component.entry(trajectory_id).or_insert(trajectory_id);
     }

@@ -30,13 +30,13 @@ pub struct Constraint {
     pub rotation_weight: f64,
     /// Where it comes from.
     pub tag: ConstraintTag,
-    /// The direction along which the match does not tell the place (2D).
+    /// The direction along which the match does not constrain the position (2D).
     pub open: Option<OpenShift>,
     /// Match score in [0, 1] for those found by matching in this run; files do not keep it.
     pub score: Option<f32>,
 }
 
-/// A direction along which a match does not tell the place: that of a corridor whose doors look alike.
+/// A degenerate direction of a match: that of a corridor whose doors look alike.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OpenShift {
     /// Unit vector in the frame of the node.
@@ -44,7 +44,7 @@ pub struct OpenShift {
 }
 
 impl OpenShift {
-    /// A shift (frame of the node) without what is open of it.
+    /// A shift (frame of the node) without its component along the degenerate direction.
     pub fn closed_part(&self, shift: &Vector3) -> Vector3 {
         shift - self.direction * self.direction.dot(shift)
     }

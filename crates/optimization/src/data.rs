@@ -1,4 +1,4 @@
-//! Everything that is optimised or measured, by trajectory.
+//! Data of the optimisation: everything that is optimised or measured, by trajectory.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Bound;
@@ -25,11 +25,11 @@ pub struct OptimizationNode {
 /// One observation of a landmark.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LandmarkSighting {
-    /// By which trajectory.
+    /// The trajectory that observed it.
     pub trajectory_id: TrajectoryId,
-    /// When.
+    /// Time of the observation.
     pub time: Time,
-    /// What was seen.
+    /// The observation.
     pub observation: LandmarkObservation,
 }
 
@@ -56,11 +56,11 @@ pub struct TrajectorySensors {
     pub odometry: BTreeMap<Time, OdometryData>,
     /// Fixed-frame poses.
     pub fixed_frame: BTreeMap<Time, FixedFramePoseData>,
-    /// What the optimisation found of the IMU (3D only).
+    /// State of the IMU as estimated by the optimisation (3D only).
     pub imu_state: ImuState,
 }
 
-/// What is estimated of an IMU.
+/// Estimated state of an IMU.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImuState {
     /// Length of the acceleration that the IMU measures at rest, m/s².
@@ -70,7 +70,8 @@ pub struct ImuState {
 }
 
 impl Default for ImuState {
-    /// Gravity as Cartographer begins with it, other than `portolan_motion::USUAL_GRAVITY` because results have to be the same.
+    /// Initial gravity of Cartographer; not `portolan_motion::USUAL_GRAVITY`, because results have to be the
+    /// same.
     fn default() -> Self {
         Self { gravity_constant: 9.8, calibration: Quaternion::identity() }
     }
@@ -83,7 +84,7 @@ pub struct OptimizationData {
     pub submaps: BTreeMap<SubmapId, Rigid3>,
     /// Nodes.
     pub nodes: BTreeMap<NodeId, OptimizationNode>,
-    /// What the scans of nodes constrain, of those with degenerate directions. Files do not keep it.
+    /// Observability of the scans of nodes with degenerate directions. Files do not keep it.
     pub open: BTreeMap<NodeId, Observability>,
     /// Landmarks by name.
     pub landmarks: BTreeMap<String, LandmarkNode>,
@@ -91,20 +92,20 @@ pub struct OptimizationData {
     pub sensors: BTreeMap<TrajectoryId, TrajectorySensors>,
     /// Fixed-frame origins.
     pub fixed_frame_origins: BTreeMap<TrajectoryId, FixedFrameOrigin>,
-    /// Where somebody said that trajectories start: their first nodes and the poses of these.
+    /// Starts of trajectories given by the user: their first nodes and the poses of these.
     pub given_starts: BTreeMap<NodeId, Rigid3>,
     /// Trajectories that are not moved.
     pub frozen: BTreeSet<TrajectoryId>,
-    /// What is made of what sensors say.
+    /// How other sensors are used.
     pub sensor_policy: SensorPolicy,
-    /// First submaps of parts of the map that nothing ties to the rest: they stay where they are, so that
-    /// their part does not float. The first submap of all stays in any case.
+    /// First submaps of parts of the map that nothing ties to the rest: they keep their poses, so that their
+    /// part does not float. The first submap of all does so in any case.
     pub anchors: BTreeSet<SubmapId>,
     /// Iterations allowed beyond the options' number, for the final optimisation.
     pub max_iterations_override: Option<u32>,
 }
 
-/// What an optimisation did.
+/// Result of an optimisation.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct OptimizationSummary {
     /// ½Σρ(r²) before.
@@ -113,9 +114,9 @@ pub struct OptimizationSummary {
     pub final_cost: f64,
     /// Iterations made.
     pub iterations: u32,
-    /// Whether a tolerance stopped it, not the number of iterations.
+    /// Whether a tolerance ended it, not the number of iterations.
     pub converged: bool,
-    /// Whether it could not be done, as with numbers that are too large: nothing was moved.
+    /// Whether it failed, for example because of numbers that are too large: nothing was moved.
     pub failed: bool,
 }
 
@@ -149,7 +150,8 @@ impl OptimizationData {
         NearFrame::around(self.submaps.values().chain(nodes).map(|pose| pose.translation.vector))
     }
 
-    /// Holds the first submap of every part of the map that neither a landmark nor a frozen trajectory holds.
+    /// Anchors the first submap of every part of the map that neither a landmark nor a frozen trajectory
+    /// constrains.
     pub fn set_anchors(&mut self, connectivity: &TrajectoryConnectivity) {
         let sightings = self.landmarks.values().flat_map(|l| &l.sightings);
         let see_landmarks: BTreeSet<TrajectoryId> = sightings.map(|s| s.trajectory_id).collect();
@@ -162,8 +164,8 @@ impl OptimizationData {
         self.anchors = floating.filter_map(|part| part.iter().find_map(first_submap)).collect();
     }
 
-    /// Forgets a node and the measurements that only mattered between its neighbours: strictly inside
-    /// the gap, except the first and the last, which interpolation at the neighbours needs.
+    /// Removes a node and the measurements that only mattered between its neighbours: strictly inside the
+    /// gap, except the first and the last, which interpolation at the neighbours needs.
     pub fn trim_node(&mut self, node_id: NodeId) {
         if self.nodes.remove(&node_id).is_none() {
             return;
@@ -185,12 +187,12 @@ impl OptimizationData {
     }
 }
 
-/// Samples of an IMU at rest are averaged over this long.
+/// Interval over which samples of an IMU at rest are averaged.
 const REST_INTERVAL: Duration = Duration::from_ticks(1_000_000);
 
 impl TrajectorySensors {
-    /// Averages the samples of an IMU that was at rest between two times, so that standing for long takes little
-    /// memory. Each mean holds as long as the samples that it is made of did.
+    /// Averages the samples of an IMU that was at rest between two times, so that standing for long takes
+    /// little memory. Each mean stands for the time span of its samples.
     pub fn thin_out_rest(&mut self, start: Time, end: Time) {
         if start >= end {
             return;
@@ -215,8 +217,8 @@ impl TrajectorySensors {
     }
 }
 
-/// Removes what lies in the closed gap between two node times, but keeps its first and last entry
-/// towards an existing neighbour.
+/// Removes entries in the closed gap between two node times, but keeps the first and the last one towards an
+/// existing neighbour.
 fn trim_gap<T>(data: &mut BTreeMap<Time, T>, previous: Option<Time>, next: Option<Time>) {
     let start = previous.unwrap_or(Time::MIN);
     let end = next.unwrap_or(Time::MAX);
@@ -249,7 +251,7 @@ mod tests {
         sensors.thin_out_rest(time(100), time(900));
         assert!(sensors.imu.len() < 250, "{}", sensors.imu.len());
         let after = motion(&sensors);
-        // Gravity is turned in steps of a tenth of a second then: within 4 s as much as a tilt of 0.1 mrad.
+        // Gravity is rotated in steps of a tenth of a second then: within 4 s as much as a tilt of 0.1 mrad.
         assert!((before.delta_velocity - after.delta_velocity).norm() < 5e-3, "{before:?} {after:?}");
         assert!(before.delta_rotation.angle_to(&after.delta_rotation) < 1e-5);
         sensors.thin_out_rest(time(900), time(100));

@@ -1,20 +1,24 @@
-//! How well motions are known along directions that the scan of a node does not constrain.
+//! Weights of motions along directions that the scan of a node does not constrain.
 
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Rigid3, Vector3};
 use portolan_motion::Observability;
 
-/// Errors of what was taken instead (standard deviations): metres at once, metres for each metre that odometry
-/// tells, and metres for each second of which nothing tells; radians at once, and for each second with and
-/// without a gyroscope.
+/// Standard deviation of a translation that is not constrained by a scan: constant part, metres.
 const SHIFT: f64 = 0.02;
+/// The same per metre measured by odometry, metres.
 const SHIFT_BY_ODOMETRY: f64 = 0.05;
+/// The same per second without any measurement, metres.
 const SHIFT_BY_NOTHING: f64 = 1.0;
+/// Standard deviation of a rotation that is not constrained by a scan: constant part, radians.
 const TURN: f64 = 0.001;
+/// The same per second with a gyroscope, radians.
 const TURN_BY_GYROSCOPE: f64 = 0.002;
+/// The same per second without any measurement, radians.
 const TURN_BY_NOTHING: f64 = 0.1;
 
-/// Weights (1/m) along the degenerate translations and (1/rad) about the degenerate rotations of a motion that took so long.
+/// Weights (1/m) along the degenerate translations and (1/rad) about the degenerate rotations of a motion
+/// that took `seconds`.
 fn weights(of: &Observability, motion: &Rigid3, seconds: f64) -> (f64, f64) {
     let shift = match of.translation_is_measured {
         true => SHIFT_BY_ODOMETRY * motion.translation.vector.norm(),
@@ -24,8 +28,8 @@ fn weights(of: &Observability, motion: &Rigid3, seconds: f64) -> (f64, f64) {
     (1.0 / (SHIFT + shift), 1.0 / (TURN + rate * seconds))
 }
 
-/// Square root of the information of a motion to a node of which a scan tells this: these weights (1/m, 1/rad), but in
-/// degenerate directions what was taken instead is known worse.
+/// Square root of the information of a motion to a node with this observability: these weights (1/m, 1/rad),
+/// but smaller ones in degenerate directions, for the substitute that was used there.
 pub(crate) fn weakened(
     of: &Observability,
     full: (f64, f64),
@@ -41,7 +45,7 @@ pub(crate) fn weakened(
     blocks(part(full.0, shift, &degenerate.translations), part(full.1, turn, &degenerate.rotations))
 }
 
-/// The same of a motion of which nothing but the degenerate translations counts.
+/// The same for a motion of which only the degenerate translations count.
 pub(crate) fn only_degenerate_translations(
     of: &Observability,
     motion: &Rigid3,

@@ -1,10 +1,12 @@
-//! Poses in a fixed frame, such as satellite fixes: where that frame lies in the map, and how much they count.
+//! Estimates the pose in the map of a fixed frame, such as that of satellite fixes, and the weight of the
+//! fixes.
 //!
-//! A fix says nothing of headings, and a solver that begins with a wrong heading of the frame of fixes gets stuck. So the frame is found
-//! from pairs of nodes (least median of squares: Rousseeuw, "Least Median of Squares Regression", 1984) and refined by weighted
-//! least squares in closed form. The weight of fixes follows from two errors. White noise: from differences of consecutive fixes. Slow
-//! errors, such as reflected signals: from distances between fixes against the distances between their nodes, over times that double.
-//! Neither needs a map without drift.
+//! A fix does not measure headings, and a solver that starts with a wrong heading of the frame of fixes gets
+//! stuck. So the frame is found from pairs of nodes (least median of squares: Rousseeuw, "Least Median of
+//! Squares Regression", 1984) and refined by weighted least squares in closed form. The weight of fixes
+//! follows from two errors. White noise: from differences of consecutive fixes. Slow errors, such as
+//! reflected signals: from distances between fixes against the distances between their nodes, over time lags
+//! that double. Neither needs a map without drift.
 
 use std::collections::BTreeMap;
 
@@ -20,27 +22,31 @@ use super::data::{OptimizationData, OptimizationNode};
 use super::graph_problem::Weights;
 use crate::{NodeId, TrajectoryId, of_trajectory};
 
-/// Fewer fixes have no scatter.
+/// Minimum number of fixes; the scatter of fewer is unknown.
 const MIN_FIXES: usize = 20;
 /// Median absolute deviation of a normal distribution, in standard deviations.
 const MEDIAN_DEVIATION: f64 = 0.6745;
-/// Beyond so many standard deviations, fixes pull with no more than a constant force (Huber's loss): reflected signals
-/// throw them tens of metres away, for seconds.
+/// Number of standard deviations beyond which fixes pull with a constant force only (Huber's loss): reflected
+/// signals displace them by tens of metres, for seconds.
 const OUTLIER: f64 = 3.0;
-/// So many pairs of nodes are tried, with so many fixes as their judges.
+/// Number of pairs of nodes that are tried.
 const TRIALS: usize = 100;
+/// Maximum number of fixes by which each try is scored.
 const JUDGES: usize = 400;
-/// How far distances in the map may be off, as a share; fixes contradict the map where half of the longest distances differ by more than
-/// the second share. Assumed.
+/// Relative error of distances in the map. Assumed.
 const MAP_ERROR: f64 = 0.02;
+/// Relative difference from which fixes contradict the map, if half of the longest distances differ by more.
+/// Assumed.
 const CONTRADICTION: f64 = 0.2;
-/// There are slow errors where the variance is so many times that of the noise. Assumed.
+/// Ratio of the variance to that of the noise above which there are slow errors. Assumed.
 const CLEARLY_MORE: f64 = 1.5;
-/// The heading of the frame must be known so well, radians. Assumed.
+/// Maximum standard deviation of the heading of the frame, radians. Assumed.
 const HEADING: f64 = 0.1;
 
-/// Fixes so many times as far apart as usual, or so many seconds, have a gap between them, in which they tell nothing.
+/// Ratio of the interval between two fixes to the usual one above which it is a gap, in which fixes are not
+/// used.
 const GAP: f64 = 3.0;
+/// Minimum length of a gap, seconds.
 const LEAST_GAP: f64 = 2.0;
 
 /// The fixed frame of a trajectory.
@@ -48,7 +54,7 @@ const LEAST_GAP: f64 = 2.0;
 pub(super) struct FixedFrame {
     pub map_from_fixed: Rigid3,
     pub weights: Weights,
-    /// What was measured at each node.
+    /// The measurement at each node.
     pub measured: Vec<(NodeId, Rigid3)>,
 }
 
@@ -57,12 +63,13 @@ pub(super) struct FixedFrame {
 struct Pair {
     place: Vector3,
     fix: Vector3,
-    /// Whether nothing measured the way to the node: the map may be wrong there, and judges no fix.
+    /// Whether nothing measured the motion to the node: the map may be wrong there, and is not compared with
+    /// fixes.
     is_guess: bool,
 }
 
 impl FixedFrame {
-    /// None where nothing is known of it: there are no poses in it, too few for a heading, or they contradict the map.
+    /// None where it is unknown: there are no poses in it, too few for a heading, or they contradict the map.
     pub fn of(
         data: &OptimizationData,
         id: TrajectoryId,
@@ -74,7 +81,7 @@ impl FixedFrame {
         let at_node = |(id, node): (NodeId, &OptimizationNode)| Some((id, fixed_frame_at(fixed, node.time)?));
         let measured: Vec<(NodeId, Rigid3)> = of_trajectory(&data.nodes, id).filter_map(at_node).collect();
         let (first, in_fixed) = measured.first()?;
-        // A satellite fix says nothing of rotations. Cartographer takes it for heading east.
+        // A satellite fix does not measure rotation. Cartographer takes it as heading east.
         let are_fixes = measured.iter().all(|(_, in_fixed)| in_fixed.rotation.angle() < 1e-9);
         if !data.sensor_policy.weighs_fixes_by_scatter || !are_fixes {
             let of_first = || Some(data.nodes.get(first)?.map_from_node * in_fixed.inverse());
@@ -97,7 +104,8 @@ impl FixedFrame {
     }
 }
 
-/// How many nodes have satellite fixes that are not used, because they contradict the map or the robot moved too little for a heading.
+/// Number of nodes with satellite fixes that are not used, because they contradict the map or the robot moved
+/// too little for a heading.
 pub fn unused_fixes(
     data: &OptimizationData,
     id: TrajectoryId,
@@ -110,7 +118,7 @@ pub fn unused_fixes(
     of_trajectory(&data.nodes, id).filter(|(_, node)| has_fix(node)).count()
 }
 
-/// Without what was interpolated in gaps.
+/// Removes measurements that were interpolated in gaps.
 fn without_gaps(
     mut measured: Vec<(NodeId, Rigid3)>,
     data: &OptimizationData,
@@ -137,7 +145,7 @@ pub(super) fn loss(data: &OptimizationData, options: &OptimizationProblemOptions
     if data.sensor_policy.has_robust_fixes { Loss::Huber(OUTLIER) } else { Loss::None }
 }
 
-/// Where the frame of fixes lies in the map, by its heading and place; none if fixes are too few.
+/// Pose of the frame of fixes in the map, by heading and position; none if there are too few fixes.
 fn aligned(pairs: &[Pair]) -> Option<Rigid3> {
     if pairs.len() < MIN_FIXES {
         return None;
@@ -168,13 +176,13 @@ fn aligned(pairs: &[Pair]) -> Option<Rigid3> {
     Some(pose)
 }
 
-/// How far nodes are from the middle of all, metres (median).
+/// Distance of nodes from their mean position, metres (median).
 fn extent(pairs: &[Pair]) -> f64 {
     let middle = pairs.iter().map(|pair| pair.place.xy()).sum::<Vector2<f64>>() / pairs.len() as f64;
     median(&mut pairs.iter().map(|pair| (pair.place.xy() - middle).norm()).collect::<Vec<_>>()).unwrap_or(0.0)
 }
 
-/// The frame with this heading, put where most fixes agree.
+/// The frame with this heading, at the median position of all fixes.
 fn placed(pairs: &[Pair], heading: f64) -> Option<Rigid3> {
     let rotation = rotation_from_roll_pitch_yaw(0.0, 0.0, heading);
     let shifts: Vec<Vector3> = pairs.iter().map(|pair| pair.place - rotation * pair.fix).collect();
@@ -183,7 +191,7 @@ fn placed(pairs: &[Pair], heading: f64) -> Option<Rigid3> {
     Some(Rigid3::from_parts(place.into(), rotation))
 }
 
-/// What a fix is off by, metres in the map.
+/// Residual of a fix in the map, metres.
 fn residual(pair: &Pair, map_from_fixed: &Rigid3) -> Vector3 {
     pair.place - (map_from_fixed.rotation * pair.fix + map_from_fixed.translation.vector)
 }
@@ -211,15 +219,17 @@ fn refined(pairs: &[Pair], map_from_fixed: &Rigid3, scale: f64) -> Option<Rigid3
     pose.translation.vector.iter().all(|v| v.is_finite()).then_some(pose)
 }
 
-/// What a fix is off by along each axis, metres (standard deviation), so that all of them together count as what they tell: slow errors
-/// are shared by as many as follow each other meanwhile. None where fixes tell no heading, or contradict the map.
+/// Standard deviation of a fix along each axis, metres. It is enlarged so that all fixes together have their
+/// true information: consecutive fixes share slow errors. None where fixes do not determine a heading, or
+/// contradict the map.
 fn error_of(pairs: &[Pair], map_from_fixed: &Rigid3) -> Option<f64> {
     let noise = scatter(pairs, map_from_fixed, 1)?.max(1e-3);
     let (mut variance, mut longest) = (noise * noise, None::<Lengths>);
     let mut lag = 2;
     while 4 * lag <= pairs.len() {
         let Some(lengths) = Lengths::of(pairs, lag) else { break };
-        // The map turns as it drifts, which is no error of fixes; lengths are all too long where they are noise.
+        // The map rotates as it drifts, which is no error of fixes; where distances are mostly noise, they
+        // are too long.
         let at_lag = lengths.variance.min(scatter(pairs, map_from_fixed, lag)?.powi(2));
         let slow = at_lag - CLEARLY_MORE * noise * noise;
         variance = variance.max(noise * noise + slow.max(0.0) * lag as f64);
@@ -228,7 +238,7 @@ fn error_of(pairs: &[Pair], map_from_fixed: &Rigid3) -> Option<f64> {
         }
         lag *= 2;
     }
-    // Over short ways slow errors are as long as these.
+    // Over short paths slow errors are as long as these.
     if longest.is_some_and(|lengths| lengths.contradict(noise)) {
         return None;
     }
@@ -236,8 +246,8 @@ fn error_of(pairs: &[Pair], map_from_fixed: &Rigid3) -> Option<f64> {
     (sigma < HEADING * extent(pairs) * count.sqrt()).then_some(sigma)
 }
 
-/// How much what fixes are off by changes within so many nodes, as the standard deviation along each axis of errors that are made anew
-/// meanwhile, metres. Slow errors cancel, whether of the fixes or of the map.
+/// Change of the residuals of fixes over `lag` nodes, as the standard deviation along each axis of errors
+/// that are independent at that lag, metres. Slower errors cancel, whether of the fixes or of the map.
 fn scatter(pairs: &[Pair], map_from_fixed: &Rigid3, lag: usize) -> Option<f64> {
     let errors: Vec<Vector3> = pairs.iter().map(|pair| residual(pair, map_from_fixed)).collect();
     let steps = errors.iter().zip(errors.iter().skip(lag)).map(|(a, b)| b - a);
@@ -245,20 +255,20 @@ fn scatter(pairs: &[Pair], map_from_fixed: &Rigid3, lag: usize) -> Option<f64> {
     Some(quantile(&mut steps, 0.5)? / (MEDIAN_DEVIATION * std::f64::consts::SQRT_2))
 }
 
-/// How far apart fixes are that are so many nodes apart, against how far those are.
+/// Distances between fixes that are a number of nodes apart, compared with the distances between these nodes.
 struct Lengths {
-    /// Of the nodes, metres (median).
+    /// Distance of the nodes, metres (median).
     length: f64,
-    /// What fixes are off by along each axis, m², beyond what the map may be.
+    /// Variance of fixes along each axis, m², beyond the error of the map.
     variance: f64,
-    /// How far lengths differ, metres (median).
+    /// Difference of the distances, metres (median).
     difference: f64,
 }
 
 impl Lengths {
-    /// None where the map tells too few.
+    /// None where the map measured too few.
     fn of(pairs: &[Pair], lag: usize) -> Option<Self> {
-        // Pairs since the map last had to guess, each pair included.
+        // Number of pairs since the map last had to guess, including the present one.
         let mut known = 0;
         let is_known = |pair: &Pair| {
             known = if pair.is_guess { 0 } else { known + 1 };

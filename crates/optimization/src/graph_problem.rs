@@ -1,4 +1,4 @@
-//! What the optimisation problems in 2D and 3D have in common.
+//! Common parts of the optimisation problems in 2D and 3D.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::marker::PhantomData;
@@ -14,7 +14,7 @@ use super::degeneracy::weakened;
 use super::fixes::{self, FixedFrame};
 use crate::{Constraint, NodeId, SubmapId, TrajectoryId, of_trajectory};
 
-/// What a pose may do.
+/// Degrees of freedom of a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Role {
     /// Stays.
@@ -27,8 +27,7 @@ pub(super) enum Role {
     FixedFrame,
 }
 
-/// What differs between 2D and 3D. Poses are in 3D here; in 2D only their projection
-/// counts.
+/// Interface to the differences between 2D and 3D. Poses are in 3D here; in 2D only their projection counts.
 pub(super) trait ProblemSpace {
     type Between: Factor;
     type Landmark: Factor;
@@ -46,7 +45,7 @@ pub(super) trait ProblemSpace {
     fn between(variables: [VariableId; 2], measured: &Rigid3, weights: Weights) -> Self::Between;
 
     /// Adds a relative pose with a square root of its information, by translation and rotation in the second
-    /// frame; false where that is not provided for.
+    /// frame; false where that is not supported.
     fn add_open_between(
         _: &mut Problem,
         _: [VariableId; 2],
@@ -71,8 +70,9 @@ pub(super) trait ProblemSpace {
     fn between_nodes(a: &OptimizationNode, b: &OptimizationNode, a_from_b_tracking: &Rigid3) -> Rigid3;
 }
 
-/// What a start that somebody told weighs, 1/m and 1/rad: it is right to some metres and some ten degrees, and tells the place where
-/// loop closures leave it open. Any loop closure weighs a thousand times as much.
+/// Weights of a start given by the user, 1/m and 1/rad: it is right to some metres and some ten degrees, and
+/// constrains the position where loop closures have a degenerate direction. Any loop closure weighs a
+/// thousand times as much.
 const TOLD_START: Weights = (75.0, 1e3);
 
 /// Weights of translation and rotation.
@@ -84,10 +84,10 @@ pub(super) struct GraphProblem<'a, S> {
     nodes: BTreeMap<NodeId, VariableId>,
     submaps: BTreeMap<SubmapId, VariableId>,
     landmarks: BTreeMap<String, VariableId>,
-    /// Those that are believed, and their variables.
+    /// Accepted fixed frames and their variables.
     fixed_frames: BTreeMap<TrajectoryId, FixedFrame>,
     origins: BTreeMap<TrajectoryId, VariableId>,
-    /// Trajectories of which more is known than what local SLAM found.
+    /// Trajectories with constraints other than those of local SLAM.
     held: BTreeSet<TrajectoryId>,
     options: &'a OptimizationProblemOptions,
     space: PhantomData<S>,
@@ -120,15 +120,15 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
         Self { problem, nodes, submaps, landmarks, fixed_frames, origins, held, options, space: PhantomData }
     }
 
-    /// Whether anything but local SLAM tells where the nodes of a trajectory are: satellites, landmarks, or other
-    /// parts of the map. Otherwise there is no reason to move along directions that scans left open: an
-    /// accelerometer alone runs away.
+    /// Whether anything but local SLAM constrains the nodes of a trajectory: satellites, landmarks, or other
+    /// parts of the map. Otherwise there is no reason to move along degenerate directions of scans: an
+    /// accelerometer alone drifts without bound.
     pub fn is_held(&self, id: TrajectoryId) -> bool {
         self.held.contains(&id)
     }
 
-    /// The variable of a node. Every node of the data has one: what is asked of another is reported, and left out
-    /// by the caller.
+    /// The variable of a node. Every node of the data has one. A request for another node is logged, and the
+    /// caller leaves it out.
     pub fn node(&self, id: NodeId) -> Option<VariableId> {
         let variable = self.nodes.get(&id).copied();
         if variable.is_none() {
@@ -155,7 +155,7 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
     pub fn add_constraints(&mut self, constraints: &[Constraint], data: &OptimizationData) {
         let by_loops = constraints.iter().filter(|c| c.is_loop_closure()).map(|c| c.node_id.trajectory_id);
         self.held.extend(by_loops);
-        // When the first node of each submap was measured: what the scans left open drifts from then on.
+        // Time of the first node of each submap: degenerate directions of scans drift from then on.
         let mut begun: BTreeMap<SubmapId, Time> = BTreeMap::new();
         if !data.open.is_empty() {
             for constraint in constraints.iter().filter(|c| !c.is_loop_closure()) {
@@ -208,7 +208,7 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
         }
     }
 
-    /// First nodes of trajectories lie about where somebody said.
+    /// Adds the starts given by the user as weak constraints on the first nodes of trajectories.
     pub fn add_given_starts(&mut self, data: &OptimizationData) {
         for (id, pose) in &data.given_starts {
             let is_frozen = data.frozen.contains(&id.trajectory_id);
@@ -218,7 +218,7 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
         }
     }
 
-    /// Every landmark is seen from a pose between two nodes.
+    /// Adds landmarks; each is seen from a pose between two nodes.
     pub fn add_landmarks(&mut self, data: &OptimizationData) {
         for (name, landmark) in &data.landmarks {
             let moving = |s: &&LandmarkSighting| !data.frozen.contains(&s.trajectory_id);
@@ -245,7 +245,7 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
         }
     }
 
-    /// What odometry and local SLAM say of two nodes that follow each other.
+    /// Adds the motion between two consecutive nodes by odometry and local SLAM.
     pub fn add_local_motion(
         &mut self,
         data: &OptimizationData,
@@ -290,14 +290,14 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
         }
     }
 
-    /// The fixed frame of a trajectory, if it is believed to be known.
+    /// The fixed frame of a trajectory, if it is accepted.
     pub fn fixed_frame(&self, id: TrajectoryId) -> Option<&FixedFrame> {
         self.fixed_frames.get(&id)
     }
 
-    /// Takes over what was found.
+    /// Writes the result back to the data.
     pub fn write_back(&self, data: &mut OptimizationData) {
-        // Going through the numbers of a variable would change the last bit of what is frozen.
+        // Converting poses to variables and back would change the last bit of frozen ones.
         for (id, variable) in &self.submaps {
             if !data.frozen.contains(&id.trajectory_id) {
                 data.submaps.insert(*id, S::pose(&self.problem, *variable));
@@ -314,7 +314,7 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
                 landmark.map_from_landmark = Some(self.problem.se3(*variable));
             }
         }
-        // Where fixes are not believed any more, the map does not lie where it was thought to.
+        // If fixes are rejected now, the earlier origin of their frame is no longer valid.
         let is_used = |id: &TrajectoryId| {
             self.fixed_frames.contains_key(id)
                 || !data.sensor_policy.weighs_fixes_by_scatter
@@ -368,7 +368,7 @@ pub(super) fn follows(first: &NodeId, second: &NodeId) -> bool {
 pub(super) struct SightingBetweenNodes<'a> {
     pub previous: (NodeId, &'a OptimizationNode),
     pub next: (NodeId, &'a OptimizationNode),
-    /// Time of the observation as a fraction of the way from the previous to the next.
+    /// Time of the observation as a fraction of the interval from the previous to the next.
     pub factor: f64,
 }
 

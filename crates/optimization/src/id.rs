@@ -57,7 +57,7 @@ impl fmt::Display for SubmapId {
     }
 }
 
-/// An identity made of a trajectory and an index: what nodes and submaps have in common.
+/// An identity made of a trajectory and an index, as nodes and submaps have.
 pub trait IndexedId: Copy + Ord {
     /// The identity `index` of a trajectory.
     fn from_parts(trajectory_id: TrajectoryId, index: u32) -> Self;

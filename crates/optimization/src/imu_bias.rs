@@ -1,5 +1,5 @@
-//! Biases of an IMU, from what local SLAM found: it does not drift within seconds, and it knows nothing of
-//! loop closures that may be wrong.
+//! Estimates the biases of an IMU from the poses of local SLAM, which do not drift within seconds and do not
+//! depend on loop closures that may be wrong.
 
 use std::collections::BTreeSet;
 
@@ -14,23 +14,24 @@ use super::data::{OptimizationData, OptimizationNode};
 use super::graph_problem::follows;
 use crate::{NodeId, TrajectoryId, of_trajectory};
 
-/// The bias of a gyroscope is the mean of this long around a time, seconds.
+/// Length of the window over which the bias of a gyroscope is averaged, seconds.
 const WINDOW: f64 = 60.0;
-/// Gyroscope and scans contradict each other where they differ by more than this within so many seconds,
-/// radians, and by more than this fraction of the turn.
+/// Window in which gyroscope and scans are compared, seconds.
 const CONTRADICTION_WINDOW: f64 = 1.0;
+/// Difference in rotation above which gyroscope and scans contradict each other, radians; see also
+/// `CONTRADICTION_SHARE`.
 const CONTRADICTION: f64 = 0.15;
+/// Increase of that threshold, as a fraction of the rotation in the window.
 const CONTRADICTION_SHARE: f64 = 0.1;
-/// What accelerometers are believed to be off by, and how exactly local SLAM knows velocities (standard
-/// deviations, m/s² and m/s).
+/// Standard deviation of the bias of accelerometers, m/s².
 const ACCELEROMETER_SIGMA: f64 = 0.1;
+/// Standard deviation of velocities by local SLAM, m/s.
 const VELOCITY_SIGMA: f64 = 0.1;
 
 /// Estimated biases of the IMU of a trajectory.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ImuBias {
-    /// By time, ascending: seconds and turns by which gyroscope and local SLAM differ, summed up until
-    /// then.
+    /// By time, ascending: cumulative seconds and rotation by which gyroscope and local SLAM differ.
     turns: Vec<(Time, f64, Vector3)>,
     /// m/s² in the tracking frame.
     accelerometer: Vector3,
@@ -38,15 +39,15 @@ pub(super) struct ImuBias {
     contradicted: BTreeSet<Time>,
 }
 
-/// What lies between two consecutive nodes.
+/// Motion between two consecutive nodes.
 struct Step {
     start: Time,
     seconds: f64,
-    /// By how much the gyroscope turned more than the scans, in the tracking frame at the end.
+    /// Rotation of the gyroscope minus that of the scans, in the tracking frame at the end.
     difference: Vector3,
     /// Tracking in local at the end.
     rotation: Quaternion,
-    /// How far it turned, radians.
+    /// Angle of rotation, radians.
     turn: f64,
     /// Whether the gyroscope was at the end of its range.
     saturated: bool,
@@ -82,8 +83,8 @@ impl ImuBias {
         bias
     }
 
-    /// Where the gyroscope was at the end of its range, or differs from the scans within a second by more than
-    /// either can be off. Local SLAM tells there.
+    /// Finds where the gyroscope was at the end of its range, or differs from the scans within a second by
+    /// more than the errors of either. There local SLAM is used.
     fn contradictions(&self, steps: &[Step]) -> BTreeSet<Time> {
         let mut contradicted = BTreeSet::new();
         let mut from = 0;
@@ -105,7 +106,7 @@ impl ImuBias {
         contradicted
     }
 
-    /// Whether gyroscope and scans agree on the turn from the node of this time to the next.
+    /// Whether gyroscope and scans agree on the rotation from the node of this time to the next.
     pub fn agrees_after(&self, time: Time) -> bool {
         !self.contradicted.contains(&time)
     }
@@ -127,7 +128,7 @@ impl ImuBias {
         self.accelerometer
     }
 
-    /// An integrated motion over `seconds` around a time without the biases (to first order).
+    /// An integrated motion over `seconds` around a time, corrected for the biases (to first order).
     pub fn corrected(&self, motion: &ImuMotion, time: Time, seconds: f64) -> ImuMotion {
         let turn = self.gyroscope(time) * -seconds;
         ImuMotion {
@@ -157,8 +158,8 @@ fn step(
 }
 
 /// The bias b and the gravity g (in the local map) at which measured changes of velocity agree best with
-/// those of consecutive nodes: `R₂ (Δv − b T) − g T = Δv_local`, linear least squares with b believed to be
-/// small. Where the frame never turns b cannot be distinguished from a tilt of g, and stays small.
+/// those of consecutive nodes: `R₂ (Δv − b T) − g T = Δv_local`, linear least squares with a prior of b
+/// around zero. Where the frame never rotates b cannot be distinguished from a tilt of g, and stays small.
 fn accelerometer_bias(
     nodes: &[(NodeId, &OptimizationNode)],
     imu: &std::collections::BTreeMap<Time, portolan_sensor::ImuData>,

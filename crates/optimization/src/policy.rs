@@ -1,20 +1,22 @@
-//! What is made of what sensors say.
+//! How the optimisation uses other sensors.
 
 use portolan_config::PortolanOptions;
 
-/// What is made of what sensors say; nothing by default, as in Cartographer, which takes it as it is.
+/// How the optimisation uses other sensors; by default as Cartographer does, which takes measurements as they
+/// are.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SensorPolicy {
-    /// Biases of gyroscopes are estimated and taken away (in 3D, where heights are free).
+    /// Biases of gyroscopes are estimated and removed (in 3D, where heights are free).
     pub estimates_imu_biases: bool,
-    /// An IMU whose mounting is estimated stays about as it was said to be mounted.
+    /// An IMU whose mounting is estimated stays close to the given mounting.
     pub holds_imu_mounting: bool,
-    /// The frame of satellite fixes is put where all of them lie best, and they are weighed by how far they scatter about the
-    /// trajectory; they are left out where they contradict it, or the robot moved too little for a heading.
+    /// The frame of satellite fixes is fitted to all of them, and they are weighted by their scatter about
+    /// the trajectory; they are left out where they contradict it, or the robot moved too little for a
+    /// heading.
     pub weighs_fixes_by_scatter: bool,
-    /// Single satellite fixes that are far off count less.
+    /// Single satellite fixes with large errors get less weight (robust loss).
     pub has_robust_fixes: bool,
-    /// Where satellite fixes, but no IMU, tell which way is up, the start is about level.
+    /// Where satellite fixes, but no IMU, determine the vertical, the start is assumed to be about level.
     pub holds_start_level: bool,
 }
 

@@ -1,12 +1,12 @@
-//! What is remembered of optimisations, so that a job that was cut off can go on.
+//! Caches the results of optimisations, so that an interrupted job can continue.
 
 use portolan_geometry::Rigid3;
 use portolan_recall::{Answer, Fingerprint, Memory, Sink, Words};
 
 use crate::{Constraint, ImuState, OptimizationData, OptimizationSummary, SensorPolicy, TrajectoryId};
 
-/// Optimises, or takes over what was found when it was done before. `seen` is a fingerprint of everything that sensors
-/// measured so far.
+/// Optimises, or takes the result from the memory if it was done before. `seen` is a fingerprint of all
+/// measurements so far.
 pub fn remembered_optimum(
     memory: &Memory,
     seen: u64,
@@ -30,7 +30,7 @@ pub fn remembered_optimum(
     summary
 }
 
-/// Adds what an optimisation begins with, beside what sensors measured, which nodes tell apart.
+/// Adds the initial state of an optimisation to the key. Measurements are identified by the nodes.
 fn add_problem(question: &mut Fingerprint, data: &OptimizationData, constraints: &[Constraint]) {
     data.submaps.values().for_each(|pose| question.add(*pose));
     data.nodes.values().for_each(|node| question.add(node.map_from_node));
@@ -97,7 +97,7 @@ impl Answer for OptimizationSummary {
     }
 }
 
-/// Everything that an optimisation changes, in order of ids; frozen trajectories stay as they are.
+/// Everything that an optimisation changes, in order of ids; frozen trajectories keep their poses.
 struct Optimized {
     summary: OptimizationSummary,
     submaps: Vec<Rigid3>,

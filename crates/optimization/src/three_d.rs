@@ -16,24 +16,24 @@ use super::graph_problem::{GraphProblem, ProblemSpace, Role, SightingBetweenNode
 use super::imu_bias::ImuBias;
 use crate::{Constraint, NodeId, TrajectoryId, of_trajectory};
 
-/// How far off an IMU may be mounted, radians (standard deviation). A walk that hardly turns says nothing of whether
-/// the IMU or the whole map is tilted, so that without this noise decides.
+/// Standard deviation of the mounting of an IMU, radians. A trajectory with little rotation does not show
+/// whether the IMU or the whole map is tilted, so that without this prior noise decides.
 const MOUNTING_SIGMA: f64 = 0.02;
 
-/// How far from level local SLAM begins without an IMU, radians (standard deviation): lidars are mounted level, and
-/// streets slope by a few degrees. Fixes along a straight path say nothing of the roll about it, so that without
-/// this noise decides.
+/// Standard deviation of the initial level of local SLAM without an IMU, radians: lidars are mounted level,
+/// and streets slope by a few degrees. Fixes along a straight path do not constrain the roll about it, so
+/// that without this prior noise decides.
 const START_LEVEL_SIGMA: f64 = 0.09;
-/// What the heights of many fixes are off by together, metres: reflections and the troposphere change slowly, so that
-/// more fixes do not tell more of level.
+/// Common height error of many fixes, metres: reflections and the troposphere change slowly, so that more
+/// fixes do not determine level better.
 const COMMON_HEIGHT_ERROR: f64 = 2.0;
 
-/// Moves submaps, nodes, landmarks, fixed-frame origins, gravity and the calibration of IMUs to where
-/// everything agrees best. The first submap only aligns itself with gravity; frozen trajectories and
-/// landmarks stay where they are.
+/// Optimises submaps, nodes, landmarks, fixed-frame origins, gravity and the calibration of IMUs for the best
+/// agreement of all measurements. The first submap only aligns itself with gravity; frozen trajectories and
+/// landmarks keep their poses.
 ///
-/// Neighbouring nodes are tied by the IMU where it measured what lies between them, elsewhere (and
-/// everywhere with `fix_z_in_3d`) by local SLAM and odometry. Cartographer demands an IMU.
+/// Consecutive nodes are tied by the IMU where it measured the motion between them, elsewhere (and everywhere
+/// with `fix_z_in_3d`) by local SLAM and odometry. Cartographer requires an IMU.
 pub fn optimize_3d(
     data: &mut OptimizationData,
     constraints: &[Constraint],
@@ -75,7 +75,7 @@ impl<'a> GraphProblem3d<'a> {
         Self { graph, options, imus: BTreeMap::new(), imu_biases: BTreeMap::new() }
     }
 
-    /// What the IMU, or else odometry and local SLAM, say of neighbouring nodes.
+    /// Adds factors between consecutive nodes, from the IMU or else from odometry and local SLAM.
     fn add_consecutive_nodes(&mut self, data: &OptimizationData) {
         let nodes: Vec<(NodeId, &OptimizationNode)> = data.nodes.iter().map(|(id, n)| (*id, n)).collect();
         for (i, pair) in nodes.windows(2).enumerate() {
@@ -94,8 +94,8 @@ impl<'a> GraphProblem3d<'a> {
         }
     }
 
-    /// Ties a node to the one before in the directions that its scan left open, where its submap no longer does:
-    /// an accelerometer alone runs away.
+    /// Ties a node to the one before in the degenerate directions of its scan, where its submap no longer
+    /// does: an accelerometer alone drifts without bound.
     fn add_open_motion(
         &mut self,
         data: &OptimizationData,
@@ -111,7 +111,7 @@ impl<'a> GraphProblem3d<'a> {
         ProblemSpace3d::add_open_between(&mut self.graph.problem, variables, &measured, &root, Loss::None);
     }
 
-    /// Where fixes, but no IMU, tell which way is up: the start is about level.
+    /// Where fixes, but no IMU, determine the vertical: assumes the start to be about level.
     fn hold_level_at_start(&mut self, data: &OptimizationData) {
         let tilts = |id: &TrajectoryId, sensors: &TrajectorySensors| {
             !data.frozen.contains(id) && sensors.imu.is_empty() && !sensors.fixed_frame.is_empty()
@@ -123,7 +123,7 @@ impl<'a> GraphProblem3d<'a> {
             let Some((node_id, node)) = of_trajectory(&data.nodes, id).next() else { continue };
             let Some(variable) = self.graph.node(node_id) else { continue };
             let fixes = of_trajectory(&data.nodes, id).count().min(sensors.fixed_frame.len());
-            // All fixes together count as one whose height is off by that.
+            // All fixes together count as one with this height error.
             let of_fixes = frame.weights.0 * (fixes as f64).sqrt();
             let weight = of_fixes * COMMON_HEIGHT_ERROR / START_LEVEL_SIGMA;
             // Local SLAM and the map may differ in heading.
@@ -173,7 +173,7 @@ impl<'a> GraphProblem3d<'a> {
         self.imu_biases.get(&id).is_none_or(|bias| bias.agrees_after(time))
     }
 
-    /// False if the IMU did not measure what lies between the nodes, or not rightly.
+    /// False if the IMU did not measure the motion between the nodes, or measured it wrongly.
     fn add_imu_rotation(
         &mut self,
         data: &OptimizationData,
@@ -242,7 +242,7 @@ impl<'a> GraphProblem3d<'a> {
     }
 }
 
-/// What was found out about an IMU (`slam3d.md` §9.1).
+/// Logs the estimated state of an IMU (`slam3d.md` §9.1).
 fn log_imu(id: TrajectoryId, state: &ImuState) {
     if id.0 != 0 {
         tracing::info!("Trajectory {id}:");

@@ -9,8 +9,8 @@ use super::data::{LandmarkSighting, OptimizationData, OptimizationNode, Optimiza
 use super::graph_problem::{GraphProblem, ProblemSpace, Role, SightingBetweenNodes, Weights, follows};
 use crate::Constraint;
 
-/// Moves submaps, nodes, landmarks and fixed-frame origins to where everything agrees best. The first
-/// submap, frozen trajectories and frozen landmarks stay where they are.
+/// Optimises submaps, nodes, landmarks and fixed-frame origins for the best agreement of all measurements.
+/// The first submap, frozen trajectories and frozen landmarks keep their poses.
 pub fn optimize_2d(
     data: &mut OptimizationData,
     constraints: &[Constraint],
@@ -75,7 +75,7 @@ impl ProblemSpace for ProblemSpace2d {
         root: &na::Matrix6<f64>,
         loss: Loss,
     ) -> bool {
-        // Shifts along x and y and the turn about z.
+        // Translation along x and y and rotation about z.
         let root_in_2d = root.remove_fixed_rows::<3>(2).remove_fixed_columns::<3>(2);
         let factor = factors::Se2BetweenInformation {
             variables,
@@ -134,8 +134,8 @@ mod tests {
         }
     }
 
-    /// Where the first of two nodes, 2 m apart, comes to lie in a known map that matches leave open along lines which meet 30 m away, if
-    /// somebody said that it lies 1 m from where it does.
+    /// Pose of the first of two nodes, 2 m apart, in a known map in which matches are degenerate along lines
+    /// which meet 30 m away, if the given start is 1 m off the true one.
     fn first_node(is_told: bool) -> Rigid3 {
         let mut data = OptimizationData::default();
         data.frozen.insert(KNOWN);

@@ -1,4 +1,4 @@
-//! Points of recordings, placed by trajectories and sent through the stages of `portolan_export::points`.
+//! Sends points of recordings, placed by trajectories, through the stages of `portolan_export::points`.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -13,7 +13,7 @@ use portolan_sensor::{Measurement, TimedPointCloudData};
 /// Messages between two lines of the log.
 const LOG_EVERY: u64 = 10_000;
 
-/// Why points could not be sent through the stages.
+/// Reasons why points could not be sent through the stages.
 #[derive(Debug, thiserror::Error)]
 pub enum AssetsError {
     /// A recording.
@@ -24,10 +24,10 @@ pub enum AssetsError {
     Sensors {
         /// Its file.
         path: PathBuf,
-        /// What is wrong with them.
+        /// The error.
         source: IngestError,
     },
-    /// What a recording holds.
+    /// The content of a recording.
     #[error(transparent)]
     Ingest(#[from] IngestError),
     /// A stage.
@@ -35,7 +35,7 @@ pub enum AssetsError {
     Stage(#[from] PointsError),
 }
 
-/// A recording that is read once for each pass.
+/// A recording that is read once for each pass of the pipeline.
 pub struct PlacedRecording {
     path: PathBuf,
     recording: Box<dyn Recording>,
@@ -44,10 +44,10 @@ pub struct PlacedRecording {
 }
 
 impl PlacedRecording {
-    /// Opens it, and finds its sensors.
+    /// Opens the recording and finds its sensors.
     ///
     /// # Errors
-    /// Fails if it cannot be read, or its sensors cannot be placed.
+    /// Fails if it cannot be read, or the poses of its sensors are unknown.
     pub fn open(path: PathBuf, options: &IngestOptions) -> Result<Self, AssetsError> {
         let recording = open(&path)?;
         let inventory = Inventory::of(recording.as_ref(), options)?;
@@ -56,7 +56,8 @@ impl PlacedRecording {
         Ok(Self { path, recording, inventory, plan })
     }
 
-    /// Sends all points through the pipeline, placed by a trajectory in the frame that the pipeline works in; how many were left out.
+    /// Sends all points through the pipeline, placed by a trajectory in the frame that the pipeline works in.
+    /// Returns how many were left out.
     ///
     /// # Errors
     /// Fails if the recording cannot be read, or a stage cannot write.
@@ -91,7 +92,8 @@ impl PlacedRecording {
     }
 }
 
-/// Puts each point where the tracking frame was at its time; none if all are outside of the trajectory.
+/// Transforms each point by the pose of the tracking frame at its time; none if all are outside of the
+/// trajectory.
 fn place(
     sweep: &TimedPointCloudData,
     trajectory: &Trajectory,

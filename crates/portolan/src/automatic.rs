@@ -1,39 +1,41 @@
-//! Settings chosen from what the sensors are, so that nobody needs to write a configuration.
+//! Chooses settings from the properties of the sensors, so that no configuration is needed.
 
 use portolan_config::Options;
 use portolan_geometry::Dimension;
 use portolan_ingest::{RangeStatistics, SensorPlan, SensorStatistics};
 
-/// Beams that lie further apart than this on a typical wall, metres, do not fill cells of 5 cm.
+/// Spacing of beams on a typical wall above which they do not fill cells of 5 cm, metres.
 const SPARSE_BEAM_SPACING: f64 = 0.05;
 
-/// Where half of the ranges are longer than this, metres, the lidar is outside.
+/// Median range above which the lidar is taken to be outdoors, metres.
 const OUTSIDE_MEDIAN_RANGE: f64 = 8.0;
 
-/// Enough for single walls in recordings of a minute, and less than what one of ten minutes tries anyway.
+/// Minimum number of loop closure searches: enough for single walls in recordings of a minute, and less than
+/// what one of ten minutes tries anyway.
 const MIN_SEARCHES: usize = 1000;
 
-/// Whole sweeps come at most so often, clouds a second: a lidar that turns ten times a second, whose stamps jitter. More clouds may be pieces.
+/// Maximum rate of whole sweeps, clouds a second: a lidar that turns ten times a second, whose stamps jitter.
+/// Clouds at a higher rate may be parts of sweeps.
 const MAX_SWEEPS_HZ: f64 = 11.0;
-/// Range data are gathered to scans of at most about this long, seconds.
+/// Approximate maximum duration of a scan that is gathered from range data, seconds.
 const MAX_SCAN_DURATION: f64 = 0.1;
 
-/// What settings depend on of a lidar.
+/// Properties of a lidar that settings depend on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lidar {
     /// Angle between neighbouring beams of a sweep, radians.
     pub angular_resolution_radians: f64,
-    /// Half of the distances that it measures where it is used are shorter, metres: about 3 in rooms, 10 and more
-    /// outside.
+    /// Median of the distances that it measures where it is used, metres: about 3 in rooms, 10 and more
+    /// outdoors.
     pub median_range_metres: f64,
-    /// What it reads where it sees nothing, or else the longest distance that it measures, metres; infinite if that is
-    /// not known.
+    /// Reading without a return, or otherwise the longest distance that it measures, metres; infinite if
+    /// unknown.
     pub max_range_metres: f64,
-    /// Scans or clouds a second; zero if that is not known.
+    /// Scans or clouds a second; zero if unknown.
     pub scans_hz: f64,
 }
 
-/// What settings depend on of the sensors.
+/// Properties of the sensors that settings depend on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sensors {
     /// Whether to map in 2D, from planar scans, or in 3D, from clouds.
@@ -48,7 +50,7 @@ pub struct Sensors {
     pub tracks_imu: bool,
     /// Whether there is odometry.
     pub has_odometry: bool,
-    /// The frame whose motion is wanted: that of the IMU if there is one.
+    /// The frame whose motion is estimated: that of the IMU if there is one.
     pub tracking_frame: String,
 }
 
@@ -92,7 +94,7 @@ impl From<&RangeStatistics> for Lidar {
     }
 }
 
-/// Good options for these sensors, without a recording: those that are chosen for a recording with the same.
+/// Good options for these sensors, without a recording: those that would be chosen for a recording with them.
 pub fn settings_for(sensors: &Sensors) -> Options {
     let mut options = match sensors.dimension {
         Dimension::TwoD => settings_2d(sensors),
@@ -120,32 +122,34 @@ fn settings_2d(sensors: &Sensors) -> Options {
     options
 }
 
-/// Whether each message is a scan: not if several lidars take turns, or a turn of one comes in pieces. How long a scan takes by the times of
-/// its points does not tell: clouds may be cropped, or of one moment.
+/// Whether each message is a scan: not if several lidars take turns, or a turn of one comes in parts. The
+/// times of the points do not determine the duration of a scan: clouds may be cropped, or have equal times.
 fn is_message_a_scan(sensors: &Sensors) -> bool {
     let hertz = sensors.lidar.map_or(0.0, |lidar| lidar.scans_hz);
     !sensors.has_more_lidars && hertz > 0.0 && hertz < MAX_SWEEPS_HZ
 }
 
-/// Which sweeps are key frames in 3D, and what is made of them.
+/// Spacing of key frames in 3D, and their submaps and clouds.
 struct Keyframes {
-    /// Metres.
+    /// Distance between key frames, metres.
     max_distance: f64,
-    /// Radians.
+    /// Rotation between key frames, radians.
     max_angle: f64,
     per_half_submap: usize,
-    /// At least so many points each keeps in its fine and in its coarse cloud, if it has them.
+    /// Minimum number of points in the fine and in the coarse cloud of a key frame, if it has that many.
     points: [usize; 2],
 }
 
-/// Inside, or without IMU: about every second sweep at walking speed; the sweeps between are registered, too. Every sweep a key
-/// frame costs a fourth more time for maps that are a little better (docs/experiments/2026-11-settings-3d.md).
+/// Indoors, or without IMU: about every second sweep at walking speed; the sweeps between are registered,
+/// too. With every sweep as key frame mapping takes a quarter more time, for maps that are a little better
+/// (docs/experiments/2026-11-settings-3d.md).
 const KEYFRAMES_USUAL: Keyframes =
     Keyframes { max_distance: 0.15, max_angle: 0.05, per_half_submap: 45, points: [150, 200] };
 
-/// Where ranges are long, sweeps see the same two metres further on, and where a gyroscope measures, what lies between key
-/// frames needs no pose graph: every fifth sweep at walking speed, every second or third of a car. A map keeps as many
-/// points in a metre of way (docs/experiments/2026-11-gyroscope-prior.md).
+/// Outdoors with an IMU. Where ranges are long, sweeps overlap well two metres further on, and with a
+/// gyroscope the sweeps between key frames need no pose graph: every fifth sweep at walking speed, every
+/// second or third of a car. A map keeps as many points per metre of path
+/// (docs/experiments/2026-11-gyroscope-prior.md).
 const KEYFRAMES_FAR_APART: Keyframes =
     Keyframes { max_distance: 2.0, max_angle: 0.5, per_half_submap: 24, points: [400, 500] };
 
@@ -154,13 +158,13 @@ fn settings_3d(sensors: &Sensors) -> Options {
     let local = &mut options.trajectory_builder.trajectory_builder_3d;
     let is_outside = sensors.lidar.as_ref().is_some_and(|l| l.median_range_metres > OUTSIDE_MEDIAN_RANGE);
     if sensors.lidar.is_some() {
-        // The spinning head and who carries it are no part of the world.
+        // The spinning head and the platform are not part of the map.
         local.min_range = 0.5;
         local.submaps.high_resolution = if is_outside { 0.2 } else { 0.1 };
         local.max_range = if is_outside { 100.0 } else { 60.0 };
     }
     options.portolan.match_surfaces = true;
-    // A tenth of a second is one sweep of most lidars, and short enough to go straight in.
+    // A tenth of a second is one sweep of most lidars, and short enough for motion to be straight.
     options.portolan.min_scan_duration = if is_message_a_scan(sensors) { 0.0 } else { MAX_SCAN_DURATION };
     let keyframes = if is_outside && sensors.has_imu { &KEYFRAMES_FAR_APART } else { &KEYFRAMES_USUAL };
     local.motion_filter.max_distance_meters = keyframes.max_distance;
@@ -171,7 +175,8 @@ fn settings_3d(sensors: &Sensors) -> Options {
     local.low_resolution_adaptive_voxel_filter.min_num_points = coarse;
     local.ceres_scan_matcher.translation_weight = 1.0;
     local.ceres_scan_matcher.rotation_weight = 10.0;
-    // What is tracked is the IMU itself: if turns of lidar and gyroscope have other axes, the lidar is mounted otherwise.
+    // The tracking frame is that of the IMU itself: if lidar and gyroscope rotate about different axes, the
+    // mounting of the lidar is wrong.
     options.map_builder.pose_graph.optimization_problem.use_online_imu_extrinsics_in_3d = !sensors.tracks_imu;
     leave_odometry_to_local_slam(&mut options);
     weigh_loop_closures(&mut options);
@@ -180,24 +185,27 @@ fn settings_3d(sensors: &Sensors) -> Options {
     graph.optimization_problem.huber_scale = 200.0;
     graph.constraint_builder.min_score = MIN_EXPLAINED_3D;
     options.portolan.loop_search_spacing = 1.0;
-    // Pieces of map that begin where the pose was lost are looked for in the rest, and believed once matches agree.
+    // Pieces of map that begin where the pose was lost are searched in the rest, and accepted once matches
+    // agree.
     options.portolan.global_localization_min_matches = 3;
     graph.global_sampling_ratio = 0.1;
     graph.constraint_builder.global_localization_min_score = MIN_SCORE_ANYWHERE_3D;
     options
 }
 
-/// So many of the points of a loop closure lie on planes, where nearly all do on the way: right ones in simulated museums and garages
-/// reach 0.5 in the median, places 0.1 to 1 m off in 3 of 100.
+/// Minimum fraction of the points of a loop closure that are on planes; in odometry nearly all are. Correct
+/// ones in simulated museums and garages reach 0.5 in the median, poses with errors of 0.1 to 1 m in 3 of
+/// 100.
 const MIN_EXPLAINED_3D: f64 = 0.5;
 
-/// Mean probability of the fine cells that a node meets where a search of the whole map finds it: in the median right places of real
-/// drives reach 0.43 to 0.67 (docs/experiments/2026-11-real-loops-3d.md).
+/// Minimum mean probability of the fine cells at the points of a node for a match in the whole map. The
+/// median of correct matches in real drives is 0.43 to 0.67 (docs/experiments/2026-11-real-loops-3d.md).
 const MIN_SCORE_ANYWHERE_3D: f64 = 0.4;
 
-/// A scan is measured in an old submap as well as in its own, so that both weigh the same. The robust loss keeps a wrong
-/// loop closure from pulling as hard as it is wrong. Cartographer weighs loop closures 22 (translation) and 63 times
-/// (rotation) as much, which bends maps that are right and takes the solver several times as many steps.
+/// A scan is matched to an old submap as accurately as to its own, so both constraints get the same weight.
+/// The robust loss limits the influence of a wrong loop closure. Cartographer gives loop closures 22 times
+/// (translation) and 63 times (rotation) the weight, which distorts correct maps and takes the solver several
+/// times as many steps.
 fn weigh_loop_closures(options: &mut Options) {
     let graph = &mut options.map_builder.pose_graph;
     let search = &mut graph.constraint_builder;
@@ -205,19 +213,19 @@ fn weigh_loop_closures(options: &mut Options) {
     search.loop_closure_rotation_weight = graph.matcher_rotation_weight;
 }
 
-/// Changes that find a recording in a map of so many submaps without knowing where it starts.
+/// Sets the options for finding a recording with unknown start in a map of `submaps` submaps.
 pub fn search_in_known_map(options: &mut Options, submaps: usize) {
     options.portolan.global_localization_min_matches = 3;
     let graph = &mut options.map_builder.pose_graph;
-    // One or two whole submaps a node, every time others: steps of the golden ratio come round last. The
-    // reference program's 0.3 % takes minutes to find the first one in a small map.
-    // In 3D the newest nodes are searched as they come.
+    // One or two whole submaps for each node, other ones every time: steps of the golden ratio repeat last.
+    // The 0.3 % of Cartographer takes minutes to find the first one in a small map. In 3D the newest nodes
+    // are searched as they come.
     let golden = if options.portolan.localises_while_recording() { 0.618 } else { 1.618 };
     graph.global_sampling_ratio = (golden / submaps.max(1) as f64).min(1.0);
     if options.portolan.match_surfaces {
         graph.constraint_builder.global_localization_min_score = MIN_SCORE_ANYWHERE_3D;
     }
-    // Once it is found it is not lost any more.
+    // Once the recording is found it is not lost any more.
     graph.global_constraint_search_after_n_seconds = f64::INFINITY;
 }
 
@@ -227,7 +235,7 @@ fn set_local_slam(options: &mut Options, sensors: &Sensors) {
     if let Some(lidar) = &sensors.lidar {
         let spacing = lidar.angular_resolution_radians * lidar.median_range_metres;
         local.submaps.grid_options_2d.resolution = if spacing > SPARSE_BEAM_SPACING { 0.1 } else { 0.05 };
-        // A reading at the scanner's "nothing seen" mark is no wall.
+        // A reading at the scanner's mark for "no return" is not a wall.
         let mark = lidar.max_range_metres;
         if mark.is_finite() && mark > 1.0 {
             local.max_range = (0.98 * mark).min(60.0) as f32;
@@ -256,7 +264,8 @@ fn set_local_slam(options: &mut Options, sensors: &Sensors) {
     inserter.miss_probability = 0.4;
 }
 
-/// Odometry has already steered local SLAM, which knows where it fails; as a constraint between nodes it would count twice.
+/// Local SLAM has used odometry already, and detects where it fails; as a constraint between nodes it would
+/// count twice.
 fn leave_odometry_to_local_slam(options: &mut Options) {
     let problem = &mut options.map_builder.pose_graph.optimization_problem;
     (problem.odometry_translation_weight, problem.odometry_rotation_weight) = (0.0, 0.0);
@@ -265,19 +274,22 @@ fn leave_odometry_to_local_slam(options: &mut Options) {
 fn set_pose_graph(options: &mut Options) {
     weigh_loop_closures(options);
     let graph = &mut options.map_builder.pose_graph;
-    // Scans follow each other as exactly as they lie in their submap, so that a chain of them yields as submaps do:
-    // with Cartographer's weight, 200 times as much, a few loop closures cannot close a gap of metres.
+    // The relative pose of consecutive scans is as accurate as their pose in the submap, so a chain of them
+    // gets the same weight as submap constraints: with Cartographer's weight, 200 times as much, a few loop
+    // closures cannot correct an error of metres.
     graph.optimization_problem.local_slam_pose_translation_weight = graph.matcher_translation_weight;
     graph.optimization_problem.local_slam_pose_rotation_weight = graph.matcher_rotation_weight;
     graph.optimization_problem.huber_scale = 100.0;
     leave_odometry_to_local_slam(options);
     let graph = &mut options.map_builder.pose_graph;
     options.portolan.min_loop_closure_searches = MIN_SEARCHES;
-    // What begins anew after the scanner was lost is tied to the rest by scans that agree, and is searched near it then.
+    // A piece of map that begins after the scanner was lost is connected to the rest by scans that agree, and
+    // is then searched near it.
     options.portolan.global_localization_min_matches = 3;
     graph.global_constraint_search_after_n_seconds = f64::INFINITY;
     graph.constraint_builder.min_score = 0.6;
-    // docs/experiments/2026-11-loops-in-the-plane.md has the matches of six real logs that these tell apart.
+    // docs/experiments/2026-11-loops-in-the-plane.md has the matches of six real logs that these thresholds
+    // separate.
     options.portolan.loop_search_drift = 0.04;
     options.portolan.loop_search_spacing = 2.5;
     options.portolan.loop_min_explained = 0.65;

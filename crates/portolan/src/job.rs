@@ -1,6 +1,6 @@
-//! What the program does with a recording: a folder with map, trajectory, pictures, report and clouds.
+//! Makes the results from a recording: a folder with map, trajectory, pictures, report and clouds.
 //!
-//! [`map`] is all of it. [`Job`] has the steps, for programs that do something between them.
+//! [`map`] does all of it. [`Job`] has the steps, for programs that do something between them.
 //!
 //! | file | what it is |
 //! |---|---|
@@ -79,34 +79,35 @@ use crate::pipeline::{
     KnownMap, MappedRecording, PipelineError, PipelineProgress, Preparation, map_recording, prepare,
 };
 
-/// What is to be made of a recording.
+/// A request to map a recording.
 #[derive(Clone, Debug)]
 pub struct MapRequest {
-    /// Where the results go; made if missing.
+    /// Folder of the results; made if missing.
     pub folder: PathBuf,
-    /// What is said of the sensors; the rest is found out.
+    /// Sensor options of the user; the rest is determined automatically.
     pub ingest: IngestOptions,
-    /// Options that are asked for; the rest is chosen from the recording.
+    /// Options that the user sets; the rest is chosen from the recording.
     pub requested: RequestedOptions,
-    /// What scans in 3D are matched to; none as the options say.
+    /// Map representation that scans in 3D are matched to; none: as in the options.
     pub engine: Option<Engine>,
     /// Maps that the recording is added to.
     pub known: KnownMaps,
-    /// Whether map and clouds are written although the recording was not found in the known maps or the map is not sound, and
-    /// over files that no earlier run wrote.
+    /// Whether map and clouds are written even if the recording was not found in the known maps or the map is
+    /// not sound, and even over files that no earlier run wrote.
     pub force: bool,
     /// Clouds and pictures of them.
     pub cloud: CloudRequest,
-    /// Whether the trajectory is written in the times of the map, too (`all_poses.tum`).
+    /// Whether the trajectory with the times of the map is written, too (`all_poses.tum`).
     pub all_poses: bool,
-    /// Whether to go on with what an earlier run left that was cut off ([`JOURNAL`]).
+    /// Whether to resume an earlier run that was interrupted ([`JOURNAL`]).
     pub resume: bool,
-    /// Threads; 0 for as many as there are cores, but not more than options allow. Results do not depend on it.
+    /// Number of threads; 0 for as many as there are cores, but not more than options allow. Results do not
+    /// depend on it.
     pub threads: usize,
 }
 
 impl MapRequest {
-    /// The usual results, with everything found out.
+    /// The usual results, with automatic options.
     pub fn new(folder: impl Into<PathBuf>) -> Self {
         Self {
             folder: folder.into(),
@@ -123,21 +124,21 @@ impl MapRequest {
     }
 }
 
-/// What came of a recording.
+/// Results of mapping a recording.
 #[derive(Clone, Debug)]
 pub struct Finished {
     /// The files, in the order in which they were written. If the map is refused
     /// ([`MappingSummary::is_refused`]) it is not among them, unless it was forced.
     pub files: Vec<PathBuf>,
-    /// What was mapped, and how well.
+    /// Counts and quality of the mapped recording.
     pub summary: MappingSummary,
 }
 
-/// Maps a recording and leaves the results in the folder of the request. `observe` is told what happens.
+/// Maps a recording and writes the results to the folder of the request. `observe` receives the events.
 ///
 /// # Errors
-/// Fails if the recording has nothing that can be mapped, options or known maps are not possible, or a file cannot be
-/// written.
+/// Fails if the recording has nothing that can be mapped, options or known maps are invalid, or a file cannot
+/// be written.
 pub fn map(
     recording: &dyn Recording,
     request: MapRequest,
@@ -163,9 +164,10 @@ pub struct Job<'a> {
     journal: Option<Journal>,
 }
 
-/// The verb that leaves these results.
+/// The verb recorded for these results.
 const MAP: &str = "map";
-/// The files that a job may write, depending on the recording and on what is asked for; clouds have names of their own.
+/// The files that a job may write, depending on the recording and on the request; clouds have names of their
+/// own.
 const FILES: [&str; 11] = [
     "map.pbstream",
     "trajectory.tum",
@@ -181,12 +183,12 @@ const FILES: [&str; 11] = [
 ];
 
 impl<'a> Job<'a> {
-    /// Looks through a recording, tells what was chosen, and changes the options as asked. What the options say of the
-    /// sensors has to be in `request.ingest` already ([`RequestedOptions::configure`]).
+    /// Surveys a recording, reports the choices, and changes the options as requested. What the options
+    /// determine about the sensors has to be in `request.ingest` already ([`RequestedOptions::configure`]).
     ///
     /// # Errors
-    /// Fails if the folder has files that would be lost, nothing in the recording can be mapped, or options are not
-    /// possible.
+    /// Fails if the folder has files that would be lost, nothing in the recording can be mapped, or options
+    /// are invalid.
     pub fn prepare(
         recording: &'a dyn Recording,
         request: MapRequest,
@@ -196,7 +198,7 @@ impl<'a> Job<'a> {
         Self::prepare_in(folder, recording, request, observe)
     }
 
-    /// As [`Job::prepare`] for a folder that somebody else looks after.
+    /// As [`Job::prepare`] for a folder that the caller manages.
     fn prepare_in(
         folder: OutputFolder,
         recording: &'a dyn Recording,
@@ -221,8 +223,8 @@ impl<'a> Job<'a> {
         Ok(Self { recording, request, preparation, folder, journal: None })
     }
 
-    /// Keeps a journal in the folder of results while mapping, so that what was cut off can be resumed; resumes what was
-    /// cut off if the request says so.
+    /// Keeps a journal in the folder of results while mapping, so that an interrupted run can be resumed;
+    /// resumes one if requested.
     ///
     /// # Errors
     /// There is nothing to resume, or it is of another job; a known map cannot be read.
@@ -246,9 +248,9 @@ impl<'a> Job<'a> {
         Ok(())
     }
 
-    /// To be called once all results are there: what an earlier run left in the folder and this one did not write is
-    /// removed, or named if this one was stopped or has no map; the journal is removed, or stays if mapping was stopped,
-    /// so that the rest can be mapped.
+    /// To be called once all results are written. Files that an earlier run left in the folder and this one
+    /// did not write are removed, or reported if this one was stopped or has no map. The journal is removed,
+    /// or stays if mapping was stopped, so that the rest can be mapped.
     ///
     /// # Errors
     /// The folder cannot be written to.
@@ -274,13 +276,13 @@ impl<'a> Job<'a> {
                     let folder = self.request.folder.clone();
                     event::remark(observe, Remark::NoJournal { folder, reason });
                 }
-                // It serves nobody any more; where it cannot be removed it harms nobody.
+                // It is no longer needed; if it cannot be removed that does no harm.
                 file.map_or(Ok(()), std::fs::remove_file).unwrap_or_default();
             }
         }
     }
 
-    /// What is mapped, and how.
+    /// What is mapped, and with which options.
     pub fn preparation(&self) -> &Preparation {
         &self.preparation
     }
@@ -293,10 +295,10 @@ impl<'a> Job<'a> {
         self.request.known.load(&self.preparation.options, observe)
     }
 
-    /// Maps the recording, and judges the result.
+    /// Maps the recording, and checks the result.
     ///
     /// # Errors
-    /// Fails if the recording cannot be read or holds not a single scan that can be used.
+    /// Fails if the recording cannot be read or holds no usable scan.
     pub fn map<S: MapFileSpace + KnownMapSpace>(
         &self,
         known: KnownMap<S>,
@@ -308,7 +310,7 @@ impl<'a> Job<'a> {
         let (ingest, preparation) = (&self.request.ingest, self.preparation.clone());
         let mapped = map_recording(self.recording, ingest, preparation, known, settings, &mut progress);
         if let Err(PipelineError::NoScans(_)) = mapped {
-            // Nothing would be there to go on with.
+            // There would be nothing to resume.
             self.end_journal(false, observe);
         }
         let mut mapped = mapped?;
@@ -316,7 +318,8 @@ impl<'a> Job<'a> {
         Ok(mapped)
     }
 
-    /// Writes everything but clouds and pictures of them; the files. Loading and mapping took `seconds`.
+    /// Writes everything but clouds and pictures of them; returns the files. `seconds` is the time of loading
+    /// and mapping.
     ///
     /// # Errors
     /// Fails if something cannot be written.
@@ -330,13 +333,14 @@ impl<'a> Job<'a> {
         write_results(mapped, &self.folder, seconds, what, observe)
     }
 
-    /// Whether the result can be used, or is wanted all the same.
+    /// Whether the result can be used, or is requested nevertheless.
     fn is_wanted<S: Space>(&self, mapped: &MappedRecording<S>) -> bool {
         let is_found = Localisation::of(mapped).is_none_or(|found| !found.is_refused());
         self.request.force || is_found && mapped.is_sound()
     }
 
-    /// Writes clouds and pictures of them as asked for, and adds to the report that [`Job::write_results`] left.
+    /// Writes the requested clouds and pictures of them, and adds to the report written by
+    /// [`Job::write_results`].
     ///
     /// # Errors
     /// Fails if the recording cannot be read again, or something cannot be written.
@@ -356,8 +360,8 @@ impl<'a> Job<'a> {
         Ok(clouds)
     }
 
-    /// All steps: loads known maps, maps, writes the results and clouds. If one fails, it is told whether the journal has
-    /// what the others found.
+    /// All steps: loads known maps, maps, writes the results and clouds. If one fails, a remark reports
+    /// whether the journal holds the results of the others.
     ///
     /// # Errors
     /// As the steps.
@@ -379,7 +383,7 @@ impl<'a> Job<'a> {
         let seconds = start.elapsed().as_secs_f64();
         let mut files = self.write_results(&mapped, seconds, observe)?;
         let summary = MappingSummary::of(&mapped);
-        // What is written stays, whatever the observer answers.
+        // Written files stay, whatever the observer answers.
         let _ = observe(&Event::Written { summary: &summary, files: &files, seconds });
         if let Some(clouds) = self.write_clouds(&mapped, observe)? {
             let _ = observe(&Event::CloudsWritten(&clouds));
@@ -390,18 +394,18 @@ impl<'a> Job<'a> {
     }
 }
 
-/// What the results will need at the very least, bytes.
+/// Minimum size of the results, bytes.
 fn needed_room(recording: &dyn Recording, request: &MapRequest) -> u64 {
     let with_cloud = request.cloud.file.is_some() && request.cloud.voxel_size_metres.is_none();
     room::needed(recording.size_bytes(), with_cloud)
 }
 
-/// Keeps going: for [`map`], where nobody wants to know what happens.
+/// Continues always: for [`map`] without an observer.
 pub fn unobserved(_: &Event) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
 
-/// As many threads as asked for, or else as there are cores, but not more than options allow.
+/// Number of threads: the requested one, otherwise the number of cores, but not more than options allow.
 fn thread_count(asked: usize, most: Option<usize>) -> usize {
     let cores = || std::thread::available_parallelism().map_or(2, std::num::NonZero::get);
     match (asked, most) {

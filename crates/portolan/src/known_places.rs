@@ -1,4 +1,4 @@
-//! What finds a recording that is mapped in a map that was known before.
+//! Finds a recording that is being mapped in a known map.
 
 use portolan_config::{Engine, Options};
 use portolan_geometry::Rigid3;
@@ -7,9 +7,10 @@ use portolan_mapping::{GraphState, Mapper, MapperError, MatchingResult, Space, S
 
 use crate::pipeline::KnownMap;
 
-/// A space in whose known maps recordings are found while they are mapped.
+/// A space in whose known maps recordings can be found while they are mapped.
 pub trait KnownMapSpace: Space {
-    /// What finds scans in a known map from a start that may be known (`map_from_tracking`), where loop closures do not tell as much.
+    /// Tracker that finds scans in a known map, from a start if it is known (`map_from_tracking`). None where
+    /// loop closures suffice.
     fn place_tracker(
         known: &GraphState<Self>,
         start: Option<Rigid3>,
@@ -41,25 +42,25 @@ impl KnownMapSpace for Space3d {
     }
 }
 
-/// Where a recording lies in a known map, told to the pose graph while it is mapped.
+/// Finds the pose of a recording in a known map while it is mapped, and reports it to the pose graph.
 pub(crate) struct KnownPlaces<S: KnownMapSpace> {
     tracker: Option<Box<dyn PlaceTracker<S>>>,
 }
 
 impl<S: KnownMapSpace> KnownPlaces<S> {
-    /// In a map, if its pose graph does not find places as well by itself; from a start that may be known.
+    /// For a known map, if its pose graph alone does not find places as well; from its start, if known.
     pub fn new(known: &KnownMap<S>, options: &Options, threads: usize) -> Self {
         Self { tracker: S::place_tracker(known.graph.state(), known.start, options, threads) }
     }
 
-    /// From now on the pose graph is told where the recording is.
+    /// From now on the pose graph receives the poses found by the tracker.
     pub fn begin(&self, mapper: &mut Mapper<S>) -> Result<(), MapperError> {
         let Some(tracker) = &self.tracker else { return Ok(()) };
         let known = tracker.known_submaps().clone();
         mapper.tell_pose_graph(move |graph| graph.leave_to_tracker(known))
     }
 
-    /// Takes what became of scans.
+    /// Adds the matching results of scans.
     pub fn add(&mut self, scans: &[MatchingResult<S>], mapper: &mut Mapper<S>) -> Result<(), MapperError> {
         let Some(tracker) = &mut self.tracker else { return Ok(()) };
         for scan in scans {
@@ -71,7 +72,7 @@ impl<S: KnownMapSpace> KnownPlaces<S> {
         Ok(())
     }
 
-    /// All scans were there: what was found without a doubt is tied to the known map.
+    /// After all scans: connects unambiguous matches to the known map.
     pub fn finish(self, mapper: &mut Mapper<S>) -> Result<(), MapperError> {
         let Some(tracker) = self.tracker else { return Ok(()) };
         let found = tracker.found();

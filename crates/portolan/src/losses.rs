@@ -1,15 +1,15 @@
-//! When nothing constrained the pose of the scanner, for people.
+//! Describes when nothing constrained the pose of the scanner, for users.
 
 use portolan_geometry::Time;
 use portolan_mapping::Space;
 
 use crate::pipeline::MappedRecording;
 
-/// Losses that are named one by one.
+/// Maximum number of losses that are described one by one.
 const NAMED: usize = 5;
 
 impl<S: Space> MappedRecording<S> {
-    /// What to say of the times at which the scanner was lost; nothing if it never was.
+    /// Describes the losses of the pose; empty if there were none.
     pub fn losses_in_words(&self) -> String {
         let Some(start) = self.trajectory().first().map(|(time, _)| *time) else { return String::new() };
         let recorded = |time: Time| self.recorded_times.get(&time).copied().unwrap_or(time);

@@ -1,4 +1,4 @@
-//! The whole job: from a recording to a map.
+//! Maps a recording, from reading to the finished map.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -26,19 +26,19 @@ use crate::silence::Silences;
 use crate::soundness::sound_poses;
 use crate::unusable_scans::{ScanTally, UnusableScans};
 
-/// Why a recording could not be mapped.
+/// Reasons why a recording could not be mapped.
 #[derive(Debug, thiserror::Error)]
 pub enum PipelineError {
-    /// The recording, or what is in it.
+    /// An error of the recording or its content.
     #[error(transparent)]
     Ingest(#[from] IngestError),
     /// The recording could not be read.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// Mapping.
+    /// An error of mapping.
     #[error(transparent)]
     Mapper(#[from] MapperError),
-    /// A setting that was to be changed.
+    /// An invalid setting.
     #[error("{0}")]
     Setting(String),
     /// Nothing was mapped.
@@ -46,7 +46,7 @@ pub enum PipelineError {
     NoScans(Box<UnusableScans>),
 }
 
-/// How far mapping is.
+/// Progress of mapping.
 #[derive(Clone, Copy, Debug)]
 pub struct PipelineProgress {
     /// Bytes of the recording read.
@@ -63,7 +63,7 @@ pub struct PipelineProgress {
 pub struct MappedRecording<S: Space> {
     /// The map.
     pub map: Map<S>,
-    /// What the recording became in the map.
+    /// Its trajectory in the map.
     pub trajectory_id: TrajectoryId,
     /// Which topics were used as which sensors.
     pub plan: SensorPlan,
@@ -71,31 +71,31 @@ pub struct MappedRecording<S: Space> {
     pub scans: u64,
     /// Seconds from the first to the last measurement.
     pub recording_seconds: f64,
-    /// How long local SLAM took for each matched scan.
+    /// Time that local SLAM took for each matched scan.
     pub scan_times: LatencyHistogram,
-    /// What was repaired or left out: of the recording, of known maps, while mapping.
+    /// Repairs and losses: of the recording, of known maps, and while mapping.
     pub issues: IssueLog,
-    /// Where scans left directions open and the prediction decided (3D).
+    /// Intervals in which scans had degenerate directions and the prediction determined the motion (3D).
     pub degenerate_intervals: Vec<DegenerateInterval>,
-    /// When nothing constrained the pose of the scanner, and what came then.
+    /// Intervals in which nothing constrained the pose of the scanner, and what followed.
     pub losses: Vec<Loss>,
-    /// Scans whose stamps were changed: the times that they have in the map, and the stamps as recorded.
+    /// Scans whose stamps were changed: their times in the map, and the stamps as recorded.
     pub recorded_times: BTreeMap<Time, Time>,
-    /// The scans, if they were to be kept.
+    /// The scans, if they are to be kept.
     pub kept_scans: KeptScans,
-    /// How its scans agree with maps that were known before.
+    /// Agreement of its scans with known maps.
     pub in_known_maps: Consistency,
     /// Whether it was stopped before the end of the recording, or before the map was finished.
     pub interrupted: bool,
 }
 
 impl<S: Space> MappedRecording<S> {
-    /// What the recording became in the map: one trajectory, and one more for each time that it was lost.
+    /// Trajectories of the recording in the map: one, and one more for each time that its pose was lost.
     pub fn pieces(&self) -> Vec<TrajectoryId> {
         std::iter::once(self.trajectory_id).chain(self.losses.iter().filter_map(|loss| loss.piece)).collect()
     }
 
-    /// Whether nothing ties what came after a loss to what was mapped before.
+    /// Whether the piece of map after a loss is not connected with the map before.
     pub fn is_apart(&self, loss: &Loss) -> bool {
         let Some(piece) = loss.piece else { return true };
         let connectivity = &self.map.graph.state().connectivity;
@@ -103,18 +103,19 @@ impl<S: Space> MappedRecording<S> {
         !before.into_iter().any(|id| connectivity.are_connected(id, piece))
     }
 
-    /// Whether odometry alone tells where a piece lies.
+    /// Whether odometry alone determines the pose of a piece of map.
     pub fn is_tied_by_odometry(&self, loss: &Loss) -> bool {
         loss.piece.is_some_and(|piece| self.map.graph.is_tied_by_odometry(piece))
     }
 
-    /// Whether odometry alone tells where a piece lies although scans contradicted the map before it.
+    /// Whether odometry alone determines the pose of a piece of map, although scans contradicted the map
+    /// before it.
     pub fn is_unconfirmed(&self, loss: &Loss) -> bool {
         !loss.is_gap && self.is_tied_by_odometry(loss)
     }
 
-    /// Whether data were lost, of the recording, of known maps or while mapping, something was mapped that nothing ties to
-    /// the rest, parts of the map lie over each other, or nobody knows how they lie to each other.
+    /// Whether data were lost, of the recording, of known maps or while mapping; a piece of map is not
+    /// connected with the rest; parts of the map overlap wrongly; or their relative pose is uncertain.
     pub fn lost_data(&self) -> bool {
         self.issues.lost_data()
             || self.losses.iter().any(|loss| self.is_apart(loss) || self.is_unconfirmed(loss))
@@ -122,18 +123,18 @@ impl<S: Space> MappedRecording<S> {
             || self.map.graph.drift().is_large()
     }
 
-    /// Whether the map is fit to be written: poses and constraints are finite, rotations are rotations.
+    /// Whether the map is sound and may be written: poses and constraints are finite, rotations are valid.
     pub fn is_sound(&self) -> bool {
         self.issues.count_of(IssueKind::GraphUnsound) == 0
     }
 
-    /// Pose of the tracking frame in the map for every scan of which it is known, under the times that scans have in the map, in
-    /// order of that. Scans that fitted nowhere have none, and poses that are none are left out.
+    /// Pose of the tracking frame in the map for every scan with a known pose, with the times that scans have
+    /// in the map, in order of time. Scans that fitted nowhere have none, and invalid poses are left out.
     pub fn scan_poses(&self) -> Vec<(Time, Rigid3)> {
         self.scan_poses_of(self.pieces())
     }
 
-    /// Those of the first piece, and of others that are connected with it: what lies where in one map.
+    /// Those of the first piece and of pieces that are connected with it: a consistent map.
     pub fn connected_scan_poses(&self) -> Vec<(Time, Rigid3)> {
         let connectivity = &self.map.graph.state().connectivity;
         let is_connected = |id: &TrajectoryId| {
@@ -149,7 +150,7 @@ impl<S: Space> MappedRecording<S> {
         poses
     }
 
-    /// The same, each under the time of its message in the recording.
+    /// The same, each with the time of its message in the recording.
     pub fn trajectory(&self) -> Vec<(Time, Rigid3)> {
         let recorded = |time: Time| self.recorded_times.get(&time).copied().unwrap_or(time);
         let mut poses = self.scan_poses();
@@ -158,12 +159,12 @@ impl<S: Space> MappedRecording<S> {
         poses
     }
 
-    /// Whether the place of scans of this time is known, better or worse.
+    /// Whether the pose of scans of this time is known, however accurately.
     fn has_pose(&self, time: Time) -> bool {
         !self.losses.iter().any(|loss| loss.leaves_open(time))
     }
 
-    /// How many scans of each loss fitted nowhere, and have no pose.
+    /// How many scans of each loss fitted nowhere and have no pose.
     pub fn scans_without_pose(&self) -> Vec<usize> {
         let mut counts = vec![0; self.losses.len()];
         let pieces = self.pieces().into_iter().filter_map(|id| self.map.trajectories.get(&id));
@@ -176,35 +177,36 @@ impl<S: Space> MappedRecording<S> {
     }
 }
 
-/// A recording about to be mapped: what is in it, what is used of it, and how.
+/// A recording about to be mapped: its content, the topics in use, and the options.
 #[derive(Clone, Debug)]
 pub struct Preparation {
     inventory: Inventory,
     /// Which topics are used as which sensors.
     pub plan: SensorPlan,
-    /// How it will be mapped; may still be changed.
+    /// Options of mapping; may still be changed.
     pub options: Options,
-    /// In which space. Follows from the options.
+    /// Mapping in 2D or 3D. Follows from the options.
     pub dimension: Dimension,
-    /// Most threads for searching and optimising, if somebody set a number
+    /// Maximum number of threads for searching and optimising, if set by the user
     /// ([`RequestedOptions::background_threads`](crate::RequestedOptions::background_threads)).
     pub background_threads: Option<usize>,
-    /// Scans are kept for pictures in a nameless file in this folder; not at all unless it is set.
+    /// Folder in which scans are kept for pictures, in an unnamed file; they are not kept if unset.
     pub keep_scans_in: Option<PathBuf>,
-    /// What grows with the length of the recording waits in nameless files in this folder; in memory unless it is set.
+    /// Folder in which data that grow with the length of the recording are spooled, in unnamed files; in
+    /// memory if unset.
     pub spool_in: Option<PathBuf>,
-    /// What is remembered of an earlier run, and for a later one.
+    /// Results remembered from an earlier run and for a later one.
     pub memory: Memory,
 }
 
 impl Preparation {
-    /// What is in the recording.
+    /// Survey of the recording.
     pub fn inventory(&self) -> &Inventory {
         &self.inventory
     }
 }
 
-/// Looks through a recording. Without `options` they are chosen from what is in it.
+/// Surveys a recording. Without `options` they are chosen from its content.
 ///
 /// # Errors
 /// If the recording cannot be read, or no plan can be made of what is in it.
@@ -238,8 +240,9 @@ pub fn prepare(
     })
 }
 
-/// A plan in which the times of beams and the clocks of odometry and IMU are put right, or that leaves one of them out, where scans
-/// tell so. What somebody said of them stands.
+/// Compares motions from scans with those of odometry and IMU. The plan then corrects the times of beams and
+/// the clocks of odometry and IMU, or leaves one of them out, if scans show that. What the user specified is
+/// kept.
 fn doubt_scans(
     recording: &dyn Recording,
     inventory: &Inventory,
@@ -277,7 +280,8 @@ fn doubt_scans(
     Ok(plan)
 }
 
-/// A plan that leaves out an IMU that does not turn as the lidar does, unless somebody asked for it, or it is its unit alone.
+/// Leaves out an IMU that does not rotate as the lidar does, unless the user asked for it. If only its unit
+/// is wrong, that is corrected.
 fn doubt_imu(
     fault: &ImuMounting,
     inventory: &Inventory,
@@ -290,7 +294,7 @@ fn doubt_imu(
     }
     let is_wanted = ingest.imu_topic.is_some() || ingest.use_imu == Some(true);
     if !is_wanted {
-        // The frame of an IMU that nobody believes is no tracking frame: it need not even be upright.
+        // The frame of an untrusted IMU cannot be the tracking frame: it need not even be upright.
         let without = IngestOptions { use_imu: Some(false), ..ingest.clone() };
         plan = portolan_ingest::plan(inventory, &without).map_err(IngestError::from)?;
     }
@@ -298,8 +302,8 @@ fn doubt_imu(
     Ok(plan)
 }
 
-/// A plan in which the clock of the IMU is put right, or that leaves the IMU out, where turns of a lidar tell so. What somebody
-/// said of them stands.
+/// Compares rotations of a lidar with those of the IMU. The plan then corrects the clock and mounting of the
+/// IMU, or leaves the IMU out, if they show that. What the user specified is kept.
 fn doubt_imu_3d(
     recording: &dyn Recording,
     inventory: &Inventory,
@@ -328,7 +332,7 @@ fn doubt_imu_3d(
     Ok(plan)
 }
 
-/// A map that a recording is added to, in a frame near it.
+/// A map that a recording is added to, in a near frame.
 pub struct KnownMap<S: Space> {
     /// Its trajectories.
     pub graph: PoseGraph<S>,
@@ -336,29 +340,29 @@ pub struct KnownMap<S: Space> {
     pub frame: NearFrame,
     /// Options, sensors and scans of its trajectories.
     pub trajectories: BTreeMap<TrajectoryId, EndedTrajectory>,
-    /// Where in that frame the recording starts (`map_from_tracking`), if that is known. Else it is searched
-    /// in the whole map.
+    /// Pose in that frame at which the recording starts (`map_from_tracking`), if known. Otherwise it is
+    /// searched in the whole map.
     pub start: Option<Rigid3>,
-    /// What was repaired or left out when it was read.
+    /// Repairs and losses when it was read.
     pub issues: IssueLog,
 }
 
 impl<S: Space> KnownMap<S> {
-    /// Nothing is known yet.
+    /// A map without content.
     pub fn empty(options: &Options) -> Self {
         let graph = PoseGraph::new(options.map_builder.pose_graph.clone());
         let frame = NearFrame::default();
         Self { graph, frame, trajectories: BTreeMap::new(), start: None, issues: IssueLog::default() }
     }
 
-    /// Brings everything into a frame near the map, so that single precision is enough for what is reckoned in it.
+    /// Moves everything into a near frame, so that single precision suffices.
     pub fn bring_near(&mut self) {
         self.frame = self.graph.near_frame();
         self.graph.move_by(&-self.frame.origin());
         self.start = self.start.map(|start| self.frame.near(&start));
     }
 
-    /// The start as the pose graph wants it: at `time`, relative to the first trajectory of the map that has nodes.
+    /// The start for the pose graph: at `time`, relative to the first trajectory of the map that has nodes.
     fn initial_pose(&self, time: Time) -> Option<InitialTrajectoryPose> {
         let to_trajectory_id = self.graph.state().nodes.keys().next()?.trajectory_id;
         let nodes: TransformBuffer = of_trajectory(&self.graph.state().nodes, to_trajectory_id)
@@ -369,10 +373,10 @@ impl<S: Space> KnownMap<S> {
     }
 }
 
-/// Maps a recording in the space that the preparation names, beginning with what `known` holds.
-/// `observe` is called now and then and stops everything cleanly by returning false.
+/// Maps a recording in the space that the preparation names, beginning with the content of `known`. `observe`
+/// is called regularly and stops everything cleanly by returning false.
 ///
-/// Long, because what comes after the loop takes apart everything that the loop has filled.
+/// The function is long because the part after the loop takes apart everything that the loop has filled.
 pub fn map_recording<S: KnownMapSpace>(
     recording: &dyn Recording,
     ingest: &IngestOptions,

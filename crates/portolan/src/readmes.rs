@@ -1,5 +1,5 @@
-//! The examples in the READMEs of all crates, as documentation tests of one crate: one program for all of them is compiled in
-//! the time that one for a single crate takes.
+//! Includes the examples in the READMEs of all crates as documentation tests of one crate. Compiling one
+//! program for all of them takes as long as one for a single crate.
 
 /// A module with each README as its documentation.
 macro_rules! readmes {

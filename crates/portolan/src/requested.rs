@@ -1,25 +1,25 @@
-//! Options that somebody asked for, and what they say of the sensors before the recording is looked at.
+//! Options requested by the user, and what they determine about the sensors before the recording is read.
 
 use std::collections::BTreeSet;
 
 use portolan_config::{ConfigError, Options, explain};
 use portolan_ingest::{ConfiguredSensors, IngestOptions, SamplingRatios};
 
-/// The setting with which memory and time follow the area that is mapped, not how long it takes.
+/// The setting with which memory and time depend on the mapped area instead of the duration of mapping.
 pub const LIFELONG: &str = "portolan.submaps_per_place=4";
 
-/// A whole configuration, single settings on top of it or of what is chosen automatically, or nothing.
+/// A whole configuration, single settings on top of it or of the automatic choice, or nothing.
 #[derive(Clone, Debug, Default)]
 pub struct RequestedOptions {
     /// The configuration of a robot; none: options are chosen from the recording.
     pub configuration: Option<Options>,
-    /// Settings `path=value` that win over everything, in order.
+    /// Settings `path=value` that override everything, in order.
     pub settings: Vec<String>,
 }
 
 impl RequestedOptions {
-    /// What reading the recording has to know of the options: sensors, frames, sampling. What `ingest`
-    /// says already of topics, of the tracking frame and of sensors that are not to be used stays.
+    /// Sets what reading the recording needs of the options: sensors, frames, sampling. Topics, the tracking
+    /// frame and excluded sensors that `ingest` already gives are kept.
     ///
     /// # Errors
     /// A setting that names no option, or has a value that it cannot have.
@@ -38,8 +38,8 @@ impl RequestedOptions {
         Ok(())
     }
 
-    /// Threads that a configuration or a setting allows for searching and optimising; none if neither
-    /// says so.
+    /// Threads that a configuration or a setting allows for searching and optimising; none if neither gives a
+    /// number.
     pub fn background_threads(&self) -> Option<usize> {
         let mut options = self.configuration.clone().unwrap_or_default();
         let mut is_asked = self.configuration.is_some();
@@ -52,7 +52,7 @@ impl RequestedOptions {
     }
 }
 
-/// Which options somebody gave a value to.
+/// Options that the user gave a value.
 struct Asked {
     everything: bool,
     named: BTreeSet<String>,
@@ -63,13 +63,13 @@ impl Asked {
         self.everything || self.named.contains(path)
     }
 
-    /// The value if somebody gave it.
+    /// The value if the user gave it.
     fn value<T>(&self, path: &str, value: T) -> Option<T> {
         self.about(path).then_some(value)
     }
 }
 
-/// A setting chooses between 2D and 3D; a whole configuration does it later.
+/// A single setting chooses between 2D and 3D here; a whole configuration does it later.
 fn choose_dimension(ingest: &mut IngestOptions, options: &Options, asked: &Asked) {
     let names = ["map_builder.use_trajectory_builder_2d", "map_builder.use_trajectory_builder_3d"];
     if asked.everything || !names.iter().any(|name| asked.named.contains(*name)) {

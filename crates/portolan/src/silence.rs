@@ -1,4 +1,4 @@
-//! Sensors that fall silent before the recording ends.
+//! Detects sensors that stop sending before the recording ends.
 
 use std::collections::BTreeMap;
 
@@ -6,16 +6,18 @@ use portolan_geometry::Time;
 use portolan_issue::{Issue, IssueKind};
 use portolan_sensor::{SensorId, SensorKind};
 
-/// Silence counts from so many seconds on, and from so many times the usual time between messages.
+/// Minimum duration of a silence, seconds.
 const MIN_SILENCE: f64 = 2.0;
+/// Minimum duration of a silence, as a multiple of the usual time between messages.
 const MIN_PERIODS: f64 = 20.0;
 
-/// Whether so many seconds without messages that usually come each `period` seconds are a silence.
+/// Whether this time without messages, seconds, is a silence of a sensor that usually sends every `period`
+/// seconds.
 pub(crate) fn is_silence(seconds: f64, period: f64) -> bool {
     seconds > MIN_SILENCE && seconds > MIN_PERIODS * period
 }
 
-/// When each sensor was first and last heard of.
+/// Times of the first and last message of each sensor.
 #[derive(Debug, Default)]
 pub(crate) struct Silences {
     heard: BTreeMap<SensorId, Heard>,
@@ -43,7 +45,8 @@ impl Silences {
         }
     }
 
-    /// An issue for each sensor that was silent at the end. Satellite fixes and landmarks come and go.
+    /// An issue for each sensor that was silent at the end. Satellite fixes and landmarks come irregularly
+    /// and are left out.
     pub fn issues(&self) -> Vec<Issue> {
         let is_steady = |id: &SensorId| !matches!(id.kind, SensorKind::Landmark | SensorKind::FixedFramePose);
         let silence = |(id, heard): (&SensorId, &Heard)| {

@@ -1,6 +1,6 @@
-//! Whether a result is fit to be written. What came of a computation that failed never looks like a result: poses that are
-//! not finite or no rotations, times that do not ascend, constraints with impossible weights. Maps are judged as
-//! `portolan check` judges their files.
+//! Decides whether a result is sound and may be written. Signs of failed computations are poses that are not
+//! finite or have invalid rotations, times that do not ascend, and constraints with impossible weights. Maps
+//! are checked as `portolan check` checks their files.
 
 use portolan_geometry::{Rigid3, Time, is_valid_pose};
 use portolan_issue::{Issue, IssueKind, IssueLog};
@@ -10,7 +10,7 @@ use portolan_pbstream::{FindingKind, Severity};
 
 use crate::pipeline::MappedRecording;
 
-/// The poses (of the tracking frame in the map) that are valid and not earlier than those before them.
+/// The valid poses (of the tracking frame in the map), without those earlier than the ones before them.
 pub(crate) fn sound_poses(poses: Vec<(Time, Rigid3)>) -> Vec<(Time, Rigid3)> {
     let mut last = Time::MIN;
     let is_sound = |(time, pose): &(Time, Rigid3)| {
@@ -23,7 +23,7 @@ pub(crate) fn sound_poses(poses: Vec<(Time, Rigid3)>) -> Vec<(Time, Rigid3)> {
     poses
 }
 
-/// What is wrong with a pose graph that is to be written.
+/// Errors of a pose graph that is to be written.
 pub(crate) fn unsoundness<S: MapFileSpace>(graph: &PoseGraph<S>) -> Result<IssueLog, MapConversionError> {
     let errors = check_graph(graph)?.into_iter().filter(|finding| finding.severity == Severity::Error);
     let issue = |finding: portolan_pbstream::Finding| {
@@ -37,7 +37,7 @@ pub(crate) fn unsoundness<S: MapFileSpace>(graph: &PoseGraph<S>) -> Result<Issue
 }
 
 impl<S: MapFileSpace> MappedRecording<S> {
-    /// Judges the result, and counts what is wrong with it among the issues.
+    /// Checks the result, and counts its errors among the issues.
     pub(crate) fn judge(&mut self) -> Result<(), MapConversionError> {
         let left_out = |poses: Vec<(Time, Rigid3)>| poses.len() - sound_poses(poses).len();
         let pieces = self.pieces().into_iter();
@@ -72,7 +72,7 @@ mod tests {
         assert_eq!(sound_poses(poses), [at(1.0, 0.0), at(4.0, 1.0), at(4.0, 3.0)]);
     }
 
-    /// Kinds of what is wrong with a graph of two nodes, at these seconds and places.
+    /// Kinds of the errors of a graph of two nodes, at these times (seconds) and positions.
     fn wrong_with(nodes: [(f64, f64); 2]) -> Vec<IssueKind> {
         let mut graph = PoseGraph::<Space3d>::new(Options::for_3d().map_builder.pose_graph);
         graph.load_trajectory(TrajectoryId(0), None);

@@ -1,4 +1,4 @@
-//! Trajectories from files of any format, distinguished by content.
+//! Reads trajectories from files of any format, distinguished by content.
 
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use portolan_input::{Forward, unwanted_kind_of};
 use portolan_pbstream::proto::mapping::{self, PoseGraph};
 use portolan_pbstream::{MAGIC, MapReader, ReadLimits, pose_from_proto};
 
-/// Why a file gives no trajectory.
+/// Reasons why no trajectory can be read from a file.
 #[derive(Debug, thiserror::Error)]
 pub enum TrajectoryFileError {
     /// It cannot be read.
@@ -23,7 +23,7 @@ pub enum TrajectoryFileError {
         /// Why.
         source: std::io::Error,
     },
-    /// What is in it cannot be used.
+    /// Its content cannot be used.
     #[error("{}: {reason}", path.display())]
     Content {
         /// Which.
@@ -43,7 +43,7 @@ impl TrajectoryFileError {
     }
 }
 
-/// So much of a text tells its format, bytes: more than any comments at its start.
+/// Number of bytes at the start of a text from which its format is determined: more than any comments there.
 const HEAD: usize = 1 << 16;
 /// Seconds between the scans of KITTI recordings.
 const KITTI_PERIOD: f64 = 0.1;
@@ -54,7 +54,7 @@ pub struct TrajectoryFile<'a> {
     /// The file: a map, TUM, KITTI poses, or a table with a line of names.
     pub path: &'a Path,
     /// Which trajectory of a map. None takes all of them if they follow one another, as the pieces of one
-    /// recording do, else that with the lowest number.
+    /// recording do, otherwise the one with the lowest number.
     pub trajectory_id: Option<i32>,
     /// Times of KITTI poses, one a line.
     pub times: Option<&'a Path>,
@@ -65,7 +65,7 @@ pub struct TrajectoryFile<'a> {
 pub struct ReadTrajectory {
     /// It has at least one pose.
     pub trajectory: Trajectory,
-    /// What was put right or taken for granted, in words.
+    /// Repairs and assumptions, in words.
     pub notes: Vec<String>,
 }
 
@@ -140,8 +140,8 @@ enum TextFormat {
     Csv,
 }
 
-/// By the first line that is no comment: twelve numbers are a KITTI pose; commas separate the columns of
-/// a table, whose line of names may begin like a comment.
+/// Determines the format from the first line that is not a comment: twelve numbers are a KITTI pose; commas
+/// separate the columns of a table, whose line of names may begin like a comment.
 fn text_format(text: &[u8]) -> TextFormat {
     let mut lines = text.split(|byte| *byte == b'\n').map(<[u8]>::trim_ascii).filter(|line| !line.is_empty());
     match lines.find(|line| !line.starts_with(b"#")) {
@@ -179,7 +179,7 @@ pub fn pose_graph_from(input: Forward, path: &Path) -> Result<PoseGraph, Traject
     Ok(reader.map_err(|error| TrajectoryFileError::in_file(path, error))?.take_pose_graph())
 }
 
-/// The pose graph of a map, and what is wrong with what follows, which is looked through to its end.
+/// The pose graph of a map, and the damage of the data after it, which are read to their end.
 ///
 /// # Errors
 /// As [`read_pose_graph`].
@@ -200,7 +200,7 @@ pub fn whole_pose_graph_from(
     }
 }
 
-/// What to say of a map whose poses are whole, and what follows is not.
+/// Message for a map whose poses are intact, while the data after them are damaged.
 pub fn damaged_behind_poses(damage: &str) -> String {
     format!("damaged behind its poses, which are whole: {damage}")
 }
@@ -226,7 +226,7 @@ pub fn trajectory_of<'a>(
 /// The poses of all nodes of a trajectory, in the order of the file.
 ///
 /// # Errors
-/// Fails if the map does not have the trajectory, or a pose is none.
+/// Fails if the map does not have the trajectory, or a pose is invalid.
 pub fn nodes(path: &Path, pose_graph: &PoseGraph, id: i32) -> Result<Vec<TimedPose>, TrajectoryFileError> {
     let pose = |node: &mapping::trajectory::Node| {
         let invalid = || {
@@ -239,7 +239,7 @@ pub fn nodes(path: &Path, pose_graph: &PoseGraph, id: i32) -> Result<Vec<TimedPo
     trajectory_of(path, pose_graph, id)?.node.iter().map(pose).collect()
 }
 
-/// The poses of all trajectories one after the other if none begins before the one before it ended, else
+/// The poses of all trajectories one after the other if none begins before the one before it ended, otherwise
 /// those of the trajectory with the lowest number.
 fn nodes_of_pieces(
     path: &Path,
@@ -273,7 +273,7 @@ mod tests {
     use portolan_geometry::Rigid3;
     use portolan_pbstream::pose_to_proto;
 
-    /// A map with trajectories of these numbers, whose nodes are a second apart and this many.
+    /// A map with trajectories of these numbers, with this many nodes a second apart.
     fn map(trajectories: &[(i32, i64, i64)]) -> PoseGraph {
         let node = |second: i64| mapping::trajectory::Node {
             timestamp: 10_000_000 * second,

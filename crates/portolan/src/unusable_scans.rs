@@ -1,4 +1,4 @@
-//! Why not a single scan of a recording could be used.
+//! Reports why no scan of a recording could be used.
 
 use std::fmt;
 
@@ -7,23 +7,24 @@ use portolan_issue::{Issue, IssueLog};
 use portolan_numeric::{counted, median};
 use portolan_sensor::Measurement;
 
-/// So many scans are looked at, the first ones, and so many returns of each.
+/// Number of scans, the first ones, of which distances are sampled.
 const SCANS: u64 = 100;
+/// Number of returns sampled in each of these scans.
 const RETURNS: usize = 200;
-/// So many kinds of what was lost are said.
+/// Maximum number of kinds of issues that are reported.
 const KINDS: usize = 3;
 
-/// What came of the scans of a recording.
+/// Counts the scans of a recording and their returns.
 #[derive(Clone, Debug, Default)]
 pub struct ScanTally {
     scans: u64,
     returns: u64,
-    /// Of some returns of the first scans, metres.
+    /// Distances of some returns of the first scans, metres.
     distances: Vec<f64>,
 }
 
 impl ScanTally {
-    /// One more measurement.
+    /// Adds a measurement.
     pub fn add(&mut self, measurement: &Measurement) {
         let Measurement::Range(scan) = measurement else { return };
         self.scans += 1;
@@ -36,7 +37,7 @@ impl ScanTally {
         }
     }
 
-    /// What is known of why none could be used.
+    /// Result: what is known about why no scan could be used.
     pub fn verdict(mut self, issues: &IssueLog) -> UnusableScans {
         let median_metres = median(&mut self.distances).filter(|metres| metres.is_finite());
         let mut lost: Vec<Issue> = issues.iter().filter(Issue::lost_data).collect();
@@ -46,7 +47,7 @@ impl ScanTally {
     }
 }
 
-/// Why not a single scan could be used, as far as known.
+/// Why no scan could be used, as far as known.
 #[derive(Clone, Debug)]
 pub struct UnusableScans {
     /// Scans that were read.
@@ -55,7 +56,7 @@ pub struct UnusableScans {
     pub returns: u64,
     /// Median distance of the returns of the first scans, metres.
     pub median_metres: Option<f64>,
-    /// What was left out most often.
+    /// The most frequent issues with loss of data.
     pub lost: Vec<Issue>,
 }
 

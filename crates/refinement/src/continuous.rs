@@ -1,13 +1,14 @@
-//! Continuous-time refinement: a trajectory is bent, continuously in time and in all six degrees of freedom,
-//! until everything that was seen from it fits together.
+//! Continuous-time refinement: a trajectory is deformed, continuously in time and in all six degrees of
+//! freedom, until all points placed by it fit together.
 //!
 //! 1. Points of short windows become planar patches (`surfels`).
 //! 2. Coarse: patches of different windows are paired, far pairs first, and knots seconds apart are solved
-//!    for; at first only windows that are near in time, among which there is little drift, then all.
-//! 3. Fine: patches of all windows are grouped into planes; knots a tenth of a second apart and all planes are
-//!    solved for together, with what gyroscope, accelerometer, wheels and fixes say, and with the places and clocks of
-//!    the lidars if that is wanted.
-//! 4. With the better trajectory patches are sharper; steps 1 and 3 are repeated until nothing moves.
+//!    for. At first only windows that are near in time are paired, as there is little drift between them, then
+//!    all.
+//! 3. Fine: patches of all windows are grouped into planes. Knots a tenth of a second apart and all planes are
+//!    solved for together, with the measurements of gyroscope, accelerometer, wheels and fixes, and, if requested,
+//!    with extrinsics and clocks of the lidars.
+//! 4. With the better trajectory patches are sharper; steps 1 and 3 are repeated until convergence.
 
 mod block_tridiagonal;
 mod cells;
@@ -69,30 +70,34 @@ use odometry::motion_terms;
 use rounds::Rounds;
 use surfels::SurfelMap;
 
-/// Each coarse reach is so much of the one before; the last is about as wide as a wall.
+/// Ratio of one coarse reach to the one before.
 const REACH_RATIO: f64 = 0.5;
+/// The last coarse reach, about the thickness of a wall, metres.
 const LAST_REACH: f64 = 0.12;
-/// Most steps at one reach, and the fraction of the reach below which a shift ends them.
+/// Maximum number of steps at one reach.
 const COARSE_STEPS: usize = 5;
+/// Shift, as a fraction of the reach, below which the steps at this reach end.
 const COARSE_REST: f64 = 0.05;
-/// At first only windows at most so many numbers apart are drawn together.
+/// Maximum difference of the numbers of windows that are paired at first.
 const NEAR_IN_TIME: usize = 4;
-/// Drift within a few seconds moves surfaces no farther apart than this, metres.
+/// Distance by which drift within a few seconds displaces surfaces at most, metres.
 const NEAR_REACH: f64 = 0.5;
-/// How wrong the motion may be once windows near in time have been drawn together.
+/// Noise of the motion after windows near in time have been aligned.
 const AFTER_NEAR: OdometryNoise = OdometryNoise { translation: 0.02, rotation: 0.004 };
-/// Loops are closed if this fraction of far pairs fits together; otherwise they are searched farther away, which must
-/// make so many times more fit.
+/// Fraction of far pairs that must fit for loops to count as closed; otherwise pairs are searched farther
+/// apart.
 const CLOSED: f64 = 0.7;
+/// Factor by which the weight of fitting pairs must grow for the result of that search to be accepted.
 const MUCH_BETTER: f64 = 1.03;
-/// An input that is rough from one second to the next shows this much more surfaces in windows of a quarter of the length;
-/// it is smoothed with those first.
+/// Ratio of planar points in windows of a quarter of the length above which the input is rough from one
+/// second to the next; it is first smoothed with those short windows.
 const ROUGH: f64 = 1.12;
+/// Length of the short windows, as a fraction of the usual length.
 const SHORT_WINDOW: f64 = 0.25;
 
-/// Bends a trajectory (`world_from_tracking` in strictly ascending order of time) until the points fit
-/// together. `observe` is called before and after each step and stops by returning false; what is reached is kept. The
-/// result is the same for any number of threads.
+/// Deforms a trajectory (`world_from_tracking` in strictly ascending order of time) until the points fit
+/// together. `observe` is called before and after each step and stops the work by returning false; the state
+/// reached is kept. The result is the same for any number of threads.
 ///
 /// # Errors
 /// Fails if there are no points, no surfaces, too few poses, or points and poses are of different times.
@@ -105,10 +110,10 @@ pub fn refine_continuous(
     refine_continuous_with(points, &MotionSensors::default(), input, options, observe)
 }
 
-/// The same with what other sensors know of the motion.
+/// The same with measurements of other motion sensors.
 ///
 /// # Errors
-/// As [`refine_continuous`]; and if a gauge is asked for that the sensors do not give.
+/// As [`refine_continuous`]; and if the requested gauge cannot be determined from the sensors.
 pub fn refine_continuous_with(
     points: &PointStore,
     sensors: &MotionSensors,
@@ -142,31 +147,31 @@ pub fn refine_continuous_with(
     }))
 }
 
-/// A coarse stage.
+/// Settings of a coarse stage.
 struct Stage {
-    /// Seconds of the windows, and between knots.
+    /// Length of the windows and spacing of the knots, seconds.
     window: f64,
-    /// How many numbers two windows may be apart.
+    /// Maximum difference of the numbers of paired windows.
     horizon: Option<usize>,
-    /// Farthest pairs at first, metres.
+    /// Maximum distance of pairs at first, metres.
     reach: f64,
 }
 
-/// Ever shorter, down to [`LAST_REACH`].
+/// Ever shorter reaches, down to [`LAST_REACH`].
 fn reaches(first: f64) -> Vec<f64> {
     let stages = ((first / LAST_REACH).ln() / -REACH_RATIO.ln()).ceil().max(0.0) as i32 + 1;
     (0..stages).map(|stage| (first * REACH_RATIO.powi(stage)).max(LAST_REACH)).collect()
 }
 
-/// What takes a while before steps.
+/// Name of the work before steps, which takes a while.
 const SURFACES: &str = "looking for surfaces";
 
-/// Pairs up to this far apart tell whether loops are closed, metres.
+/// Maximum distance of the pairs that decide whether loops are closed, metres.
 fn self_gate(reach: f64) -> f64 {
     reach.min(NEAR_REACH)
 }
 
-/// A refinement at work.
+/// A refinement in progress.
 struct Run<'a, 'b> {
     session: Session<'a>,
     sensors: &'b MotionSensors,
@@ -174,7 +179,7 @@ struct Run<'a, 'b> {
     observe: &'b mut dyn FnMut(&RefineProgress) -> bool,
     /// The poses of the input.
     input: PoseMatrices,
-    /// In which points patches are looked for.
+    /// The points in which patches are searched.
     part: Part,
 }
 
@@ -196,7 +201,8 @@ impl Run<'_, '_> {
         SurfelMap::extract(&points, selection, &session.coverage, &session.trajectory, window)
     }
 
-    /// Judges what was reached by the points that were kept out of the fit. Whether it is better than the input.
+    /// Evaluates the result by the points that were held out of the fit. Returns whether it is better than
+    /// the input.
     fn cross_validate(&mut self) -> bool {
         if self.session.report.stopped {
             return true;
@@ -215,7 +221,7 @@ impl Run<'_, '_> {
         !is_refused
     }
 
-    /// Draws windows together: those near in time first, among which there is little drift, then all.
+    /// Aligns windows: first those near in time, between which there is little drift, then all.
     fn coarse(&mut self) -> Result<(), RefineError> {
         let (window, noise) = (self.options.window, self.options.odometry);
         let near = self.options.reach.min(NEAR_REACH);
@@ -239,8 +245,9 @@ impl Run<'_, '_> {
         self.close_loops()
     }
 
-    /// Draws all windows together. What was drawn together before is the motion now, and better known than that of
-    /// the input. If loops are not closed from near, it is tried again from as far as drift may have gone.
+    /// Aligns all windows. The trajectory reached so far is now the reference of the motion, with less noise
+    /// than the input. If loops are not closed from near, the search is repeated with the full reach, for
+    /// larger drift.
     fn close_loops(&mut self) -> Result<(), RefineError> {
         let window = self.options.window;
         if !self.begin(SURFACES, 0.2) {
@@ -270,7 +277,7 @@ impl Run<'_, '_> {
         Ok(())
     }
 
-    /// Steps at ever shorter reach, held by the motion of `reference`.
+    /// Steps at ever shorter reach, constrained by the motion of `reference`.
     fn draw(
         &mut self,
         map: &SurfelMap,
@@ -312,14 +319,14 @@ impl Run<'_, '_> {
         Ok(())
     }
 
-    /// Tells that something is begun that takes a while; whether to go on.
+    /// Reports the begin of work that takes a while; returns whether to go on.
     fn begin(&mut self, stage: &str, share: f64) -> bool {
         let last = self.session.report.steps.last();
         let (rms, shift) = (last.map(|step| step.rms), last.map(|step| step.shift));
         self.tell(stage.to_owned(), share, (rms, shift))
     }
 
-    /// Tells how far it is; whether to go on. Once it was stopped nobody is asked again.
+    /// Reports the progress; returns whether to go on. After a stop the observer is not asked again.
     fn tell(&mut self, stage: String, share: f64, (rms, shift): (Option<f64>, Option<f64>)) -> bool {
         let report = &mut self.session.report;
         if report.stopped {
@@ -330,7 +337,7 @@ impl Run<'_, '_> {
         !report.stopped
     }
 
-    /// Notes a step and tells it; whether to go on.
+    /// Records and reports a step; returns whether to go on.
     fn record(&mut self, step: RefineStep, share: f64) -> bool {
         self.session.report.steps.push(step);
         let stage = match step.stage {

@@ -1,6 +1,6 @@
-//! Why something could not be refined.
+//! Errors of refinement.
 
-/// Why something could not be refined, and what to do.
+/// Reasons why a refinement is not possible, and what to do.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RefineError {
     /// The trajectory has too few poses.
@@ -29,7 +29,7 @@ pub enum RefineError {
         "no surfaces were found in the points; are extrinsics and times right? {0} points were looked at"
     )]
     NoSurfaces(usize),
-    /// An option makes no sense.
+    /// The value of an option is invalid.
     #[error("{0}")]
     Option(String),
     /// Equations could not be solved.

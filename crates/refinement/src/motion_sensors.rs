@@ -1,9 +1,10 @@
-//! What else a recording knows of the motion: angular velocities, accelerations, wheel odometry, fixes.
+//! Stores the other measurements of motion of a recording: angular velocities, accelerations, wheel odometry,
+//! fixes.
 
 use portolan_geometry::{Rigid3, Time, Vector3, quaternion_from_angle_axis};
 use portolan_sensor::{FixedFramePoseData, ImuData, OdometryData};
 
-/// Samples farther apart than this are not bridged, seconds.
+/// Interval between samples above which they are not bridged, seconds.
 const GAP: f64 = 0.25;
 
 /// Measurements of other sensors than lidars, in the tracking frame and in order of time. Samples that are not finite or
@@ -38,7 +39,7 @@ impl MotionSensors {
         }
     }
 
-    /// Adds a place in a fixed frame (of a satellite receiver); without a fix nothing is added.
+    /// Adds a position in a fixed frame (of a satellite receiver); without a fix nothing is added.
     pub fn push_fix(&mut self, sample: &FixedFramePoseData) {
         let Some(pose) = sample.fixed_from_tracking else { return };
         let later = self.fixes.last().is_none_or(|last| last.0 < sample.time);
@@ -59,23 +60,23 @@ impl MotionSensors {
         &self.odometry
     }
 
-    /// Places in the fixed frame, metres.
+    /// Positions in the fixed frame, metres.
     pub fn fixes(&self) -> &[(Time, Vector3)] {
         &self.fixes
     }
 
-    /// Samples that could not be used.
+    /// Number of samples that could not be used.
     pub fn left_out(&self) -> u64 {
         self.left_out
     }
 
-    /// The wheels' way; none without wheels.
+    /// Track of the wheel odometry; none without wheels.
     pub(crate) fn odometry_track(&self, start: Time) -> Option<PoseTrack> {
         let poses = self.odometry.iter().map(|o| (o.time.seconds_since(start), o.odom_from_tracking));
         PoseTrack::new(poses.collect())
     }
 
-    /// Orientations by the gyroscope alone, less a bias (rad/s); none without an IMU.
+    /// Orientations from the gyroscope alone, minus a bias (rad/s); none without an IMU.
     pub(crate) fn gyroscope_track(&self, start: Time, bias: &Vector3) -> Option<PoseTrack> {
         let mut rotation = portolan_geometry::Quaternion::identity();
         let mut poses = Vec::with_capacity(self.imu.len());
@@ -84,7 +85,7 @@ impl MotionSensors {
             if let Some(before) = before {
                 let rate = (before.angular_velocity + sample.angular_velocity) * 0.5 - bias;
                 let seconds = sample.time.seconds_since(before.time);
-                // Over a gap nothing is known; the track says so.
+                // The motion over a gap is unknown; the track has a gap there, too.
                 if seconds <= GAP {
                     rotation *= quaternion_from_angle_axis(&(rate * seconds));
                     rotation.renormalize();
@@ -98,7 +99,7 @@ impl MotionSensors {
     }
 }
 
-/// Poses in order of time in a frame of their own, of which only the motion counts.
+/// Poses in order of time in a frame of their own, of which only the relative motion is used.
 #[derive(Clone, Debug)]
 pub(crate) struct PoseTrack {
     poses: Vec<(f64, Rigid3)>,

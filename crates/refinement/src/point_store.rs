@@ -1,28 +1,29 @@
-//! The raw points of a recording, packed and in order of time.
+//! Stores the raw points of a recording, packed and in order of time.
 
 use portolan_geometry::{Duration, Time};
 use portolan_sensor::TimedPointCloudData;
 
-/// Ticks of 25 µs: exact enough for points (0.25 mm at 10 m/s), and 29 bits last for more than three hours.
+/// Ticks of 25 µs: accurate enough for points (0.25 mm at 10 m/s), and 29 bits last for more than three
+/// hours.
 const TICKS_PER_SECOND: f64 = 4e4;
-/// The time takes this many bits of a point, the number of its sensor the others.
+/// Bits of the time of a point; the other bits hold the number of its sensor.
 const TIME_BITS: u32 = 29;
 const LAST_TICK: u32 = (1 << TIME_BITS) - 1;
-/// Sensors that are distinguished; further ones count as the last of them.
+/// Maximum number of sensors that are distinguished; further ones count as the last of them.
 pub const MAX_SENSORS: usize = 8;
 
 /// A raw point: in the tracking frame as it was at the point's own time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StoredPoint {
-    /// Metres.
+    /// Position, metres.
     pub in_tracking: [f32; 3],
     /// Sensor and time.
     stamp: u32,
 }
 
 impl StoredPoint {
-    /// A point of a sensor (below [`MAX_SENSORS`]); none if the time (seconds since the start of the store) cannot be
-    /// held.
+    /// A point of a sensor (below [`MAX_SENSORS`]); none if the time (seconds since the start of the store)
+    /// is out of range.
     pub fn new(in_tracking: [f32; 3], seconds: f64, sensor: usize) -> Option<Self> {
         let ticks = (seconds * TICKS_PER_SECOND).round();
         let holds = ticks >= 0.0 && ticks <= f64::from(LAST_TICK);
@@ -53,23 +54,23 @@ impl StoredPoint {
 pub struct StoredSensor {
     /// Its name: the topic.
     pub name: String,
-    /// Where it was in the tracking frame when it first measured, metres.
+    /// Its position in the tracking frame at its first measurement, metres.
     pub origin_in_tracking: [f64; 3],
-    /// Its sweeps that had points.
+    /// Number of its sweeps with points.
     pub sweeps: u64,
-    /// Its sweeps without a single point.
+    /// Number of its sweeps without points.
     pub empty_sweeps: u64,
     /// Times of its first and its latest sweep.
     #[serde(skip)]
     span: Option<(Time, Time)>,
 }
 
-/// What was left out when points were added.
+/// Counts of points that were left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct LeftOutPoints {
     /// Coordinates or times that are not finite.
     pub not_finite: u64,
-    /// Nearer than the least range.
+    /// Nearer than the minimum range.
     pub too_near: u64,
     /// More than ten seconds before the first sweep, or more than three hours and forty minutes after it.
     pub outside_of_time: u64,
@@ -77,22 +78,22 @@ pub struct LeftOutPoints {
     pub thinned: u64,
 }
 
-/// Most points that are kept unless set otherwise: 2.6 GB.
+/// Default of the maximum number of points: 2.6 GB.
 const USUAL_LIMIT: usize = 160_000_000;
-/// A usual turn of a spinning lidar, seconds.
+/// Usual duration of a turn of a spinning lidar, seconds.
 const USUAL_SWEEP: f64 = 0.1;
-/// A sweep that belongs among the last so many points is put there at once; one that belongs farther back waits for
-/// [`PointStore::sort`].
+/// Number of last points among which a sweep is sorted in at once; a sweep that belongs farther back waits
+/// for [`PointStore::sort`].
 const SETTLED_AT_ONCE: usize = 4_000_000;
 
-/// Raw points of one or several range sensors in the tracking frame, 16 bytes each. Beyond a limit every second
-/// point is left out, and again, so that memory stays bounded however long the recording is.
+/// Raw points of one or several range sensors in the tracking frame, 16 bytes each. Whenever the limit is
+/// exceeded every second point is left out, so that memory is bounded for recordings of any length.
 #[derive(Clone, Debug)]
 pub struct PointStore {
     start: Option<Time>,
     min_range: f32,
     limit: usize,
-    /// One of so many points is kept.
+    /// One of this many points is kept.
     stride: u64,
     /// Good points so far.
     good: u64,
@@ -128,7 +129,7 @@ impl PointStore {
         self.push_from("", sweep);
     }
 
-    /// The number of a sensor, which gets one if it is new.
+    /// The number of a sensor; a new sensor gets the next one.
     fn sensor(&mut self, name: &str, sweep: &TimedPointCloudData) -> usize {
         let known = self.sensors.iter().position(|s| s.name == name);
         let number = known.unwrap_or_else(|| {
@@ -181,8 +182,8 @@ impl PointStore {
         }
     }
 
-    /// Puts new points in order of time among those before them. Sweeps come nearly in order, so that this touches few
-    /// points and needs no memory, whereas to sort everything at last would need half as much again.
+    /// Sorts new points by time into those before them. Sweeps come nearly in order, so this touches few
+    /// points and needs no memory, whereas sorting everything at the end would need half as much again.
     fn settle(&mut self, first_new: usize) {
         let (old, new) = self.points.split_at(first_new);
         let Some(earliest) = new.iter().map(StoredPoint::ticks).min() else { return };
@@ -198,7 +199,7 @@ impl PointStore {
         }
     }
 
-    /// Keeps every second point, also of those that are still to come.
+    /// Keeps every second point, also of those that are added later.
     fn thin(&mut self) {
         let before = self.points.len();
         let mut index = 0;
@@ -219,7 +220,7 @@ impl PointStore {
         self.points.shrink_to_fit();
     }
 
-    /// The time from which points count theirs.
+    /// The time from which the times of points count.
     pub fn start(&self) -> Time {
         self.start.unwrap_or(Time::UNIX_EPOCH)
     }
@@ -234,8 +235,8 @@ impl PointStore {
         &self.sensors
     }
 
-    /// Mean time from one sweep of the first sensor to the next, seconds. What comes more often than ten times a second is
-    /// packets, which are taken as parts of sweeps of a tenth of a second.
+    /// Mean time from one sweep of the first sensor to the next, seconds. Messages at more than ten a second
+    /// are packets, which are taken as parts of sweeps of a tenth of a second.
     pub fn sweep_seconds(&self) -> f64 {
         let mean = self.sensors.first().and_then(|sensor| {
             let (first, last) = sensor.span?;
@@ -245,7 +246,7 @@ impl PointStore {
         mean.unwrap_or(0.0).max(USUAL_SWEEP)
     }
 
-    /// What was left out.
+    /// Counts of points that were left out.
     pub fn left_out(&self) -> LeftOutPoints {
         self.left_out
     }
@@ -305,7 +306,7 @@ mod tests {
         store.push_from("b", &sweep(12.0, 4.0, 1));
         let xs = |store: &PointStore| store.points().iter().map(|p| p.in_tracking[0]).collect::<Vec<_>>();
         assert_eq!(xs(&store), [1.0, 2.0, 3.0, 4.0]);
-        // One that lies far back waits.
+        // A sweep far back in time waits.
         store.push_from("a", &sweep(13.0, 5.0, SETTLED_AT_ONCE));
         store.push_from("b", &sweep(9.0, 0.5, 1));
         assert_eq!(store.points().last().unwrap().in_tracking[0], 0.5);

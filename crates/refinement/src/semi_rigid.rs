@@ -1,15 +1,17 @@
-//! Semi-rigid refinement as published (Elseberg, Borrmann and Nüchter 2013; Nüchter, Bleier, Schauer and Janotta
-//! 2017, section 5): sections of the trajectory are registered to each other as rigid bodies, all at once; then all elements of
-//! the trajectory are solved for in one sparse system, from pairs of points at the level of single elements that were
-//! recorded long enough apart, and from the motion between consecutive elements.
+//! Semi-rigid refinement as published (Elseberg, Borrmann and Nüchter 2013; Nüchter, Bleier, Schauer and
+//! Janotta 2017, section 5): sections of the trajectory are registered to each other as rigid bodies, all at
+//! once. Then all elements of the trajectory are solved for in one sparse system, from pairs of points at the
+//! level of single elements that were recorded long enough apart, and from the motion between consecutive
+//! elements.
 //!
-//! Differences, each for a fault of the reference: poses are moved on SE(3) (no singular angle); the input's
-//! motion has a covariance in metres and radians per root second (independent of the number of elements and of
-//! the unit of length), with which its residual is weighted, too; sections do not share points unless asked to, and points
-//! recorded shortly after each other are not paired, so that sections are not locked to each other; pairs count by their
-//! distance from the surface, and only if both face the same way (a quarter of all pairs within 50 cm join the two sides of
-//! a wall or different faces); each two sections are linked once; the first pose is the gauge, not the first section; and what
-//! happens within a section is corrected, because pairs tie the elements that measured them.
+//! Differences, each for a fault of the reference: poses are moved on SE(3) (no singular angle); the motion
+//! of the input has a covariance in metres and radians per root second (independent of the number of elements
+//! and of the unit of length), with which its residual is weighted, too; sections do not share points unless
+//! requested, and points recorded shortly after each other are not paired, so that sections are not locked to
+//! each other; pairs are weighted by their distance from the surface, and are used only if both face the same
+//! direction (a quarter of all pairs within 50 cm join the two sides of a wall or different faces); each two
+//! sections are linked once; the first pose is the gauge, not the first section; and motion within a section
+//! is corrected, because pairs constrain the elements that measured them.
 
 mod elements;
 mod options;
@@ -30,25 +32,28 @@ use elements::{ElementEquations, ElementPair, End};
 pub use options::SemiRigidOptions;
 use sections::{PointPair, Sections};
 
-/// Points of a section that look for a partner in another one, while sections are rigid and at last.
+/// Maximum number of points of a section for which a partner in another one is searched while sections are rigid.
 const RIGID_QUERIES: usize = 120;
+/// The same for elements.
 const ELEMENT_QUERIES: usize = 1000;
-/// Most iterations over all elements.
+/// Maximum number of iterations over all elements.
 const ELEMENT_ITERATIONS: usize = 3;
-/// The noise of the input is found over this, seconds: its errors are smooth for shorter.
+/// Interval over which the noise of the input is estimated, seconds: over shorter ones its errors are smooth.
 const ODOMETRY_SECONDS: f64 = 0.1;
-/// Pairs that are off by more than so many times their scatter lose weight.
+/// Ratio of the residual of a pair to the scatter of all pairs above which it loses weight.
 const KERNEL_SCATTER: f64 = 2.0;
-/// Least standard deviation of a pair, metres.
+/// Minimum standard deviation of a pair, metres.
 const LEAST_DEVIATION: f64 = 0.005;
-/// Beyond this fraction of the pair distance pairs lose weight (Cauchy).
+/// Residual above which pairs lose weight (Cauchy), as a fraction of the maximum pair distance.
 const KERNEL: f64 = 0.1;
-/// Links with less weight of pairs are not used.
+/// Minimum weight of the pairs of a link that is used.
 const LEAST_ROWS: f64 = 20.0;
 /// Usual number of steps of an outer iteration, for progress.
 const USUAL_STEPS: usize = 12;
-/// Sections rest when none moves farther, metres: what is left is up to the elements, which rest later.
+/// Motion below which sections have converged, metres: the rest is left to the elements, which converge
+/// later.
 const SECTIONS_REST: f64 = 0.01;
+/// Motion below which elements have converged, metres.
 const ELEMENTS_REST: f64 = 0.002;
 const FAILED: RefineError = RefineError::Numerical("distribution over the elements");
 
@@ -91,8 +96,8 @@ pub fn refine_semi_rigid(
     Ok(session.finish(|_, _| {}))
 }
 
-/// One outer iteration: sections are made and linked, moved as rigid bodies until they fit, and then all elements of the
-/// trajectory are solved for.
+/// One outer iteration: sections are made and linked, moved as rigid bodies until they fit, and then all
+/// elements of the trajectory are solved for.
 fn outer_iteration(
     session: &mut Session,
     options: &SemiRigidOptions,
@@ -121,7 +126,7 @@ fn outer_iteration(
     Ok(())
 }
 
-/// What is thought of input and pairs.
+/// Current noise models of input and pairs.
 #[derive(Clone, Copy)]
 struct Beliefs {
     odometry: OdometryNoise,
@@ -130,8 +135,8 @@ struct Beliefs {
 }
 
 impl Beliefs {
-    /// An input that has turned out to be better than thought counts more, so that elements which see little stay with it;
-    /// pairs that have turned out to scatter less than thought leave less doubt which of them are wrong.
+    /// Updates the noise models. An input that is better than assumed gets more weight, so that elements with
+    /// few surfaces follow it. Pairs that scatter less than assumed make it clearer which of them are wrong.
     fn learned(self, session: &mut Session, step: &RefineStep) -> Self {
         let knots = Knots::new(session.trajectory.duration(), ODOMETRY_SECONDS);
         let found = noise_found(&session.trajectory, &knots);
@@ -144,7 +149,7 @@ impl Beliefs {
     }
 }
 
-/// Whether to go on.
+/// Records and reports a step; returns whether to go on.
 fn note(
     session: &mut Session,
     step: RefineStep,
@@ -156,9 +161,10 @@ fn note(
     go_on
 }
 
-/// One iteration with rigid sections: pairs are searched at their current poses, and everything is solved for at once: each
-/// link wants the difference D of its sections with information C⁻¹ (equations 7 to 9), consecutive sections want the
-/// motion of the input. Between sections the elements do what a chain of equal springs does.
+/// One iteration with rigid sections: pairs are searched at their current poses, and everything is solved for
+/// at once. Each link contributes the difference D of its sections with information C⁻¹ (equations 7 to 9),
+/// consecutive sections the motion of the input. Between sections the elements behave like a chain of equal
+/// springs.
 fn move_sections(
     session: &mut Session,
     sections: &Sections,
@@ -204,8 +210,9 @@ fn move_sections(
     })
 }
 
-/// One iteration over all elements: pairs are searched as before, but each point lies where its own element has it, and
-/// ties that element. Of the queries of each link those remain that have found a partner.
+/// One iteration over all elements: pairs are searched as before, but each point is placed by its own
+/// element, and constrains that element. Of the queries of each link only those are kept that have found a
+/// partner.
 fn move_elements(
     session: &mut Session,
     sections: &Sections,
@@ -232,7 +239,7 @@ fn move_elements(
     })
 }
 
-/// Pairs of points of all links, each point where its own element has it, linearised there.
+/// Pairs of points of all links, each point placed by its own element, linearised there.
 fn element_pairs(
     session: &Session,
     sections: &Sections,
@@ -272,7 +279,7 @@ fn element_pairs(
     parts.concat()
 }
 
-/// The increment of all elements that pairs and the motion of the input want together.
+/// The increment of all elements that solves the equations of pairs and of the motion of the input.
 fn solve_elements(
     trajectory: &DenseTrajectory,
     elements: &Knots,
@@ -295,7 +302,7 @@ fn solve_elements(
     Ok(conjugate_gradients(&right, product, |x| preconditioner.solve(x), TIGHT))
 }
 
-/// Metres.
+/// Largest translation, metres.
 fn largest_shift(increment: &[f64]) -> f64 {
     increment.chunks_exact(6).map(|k| Vector3::new(k[0], k[1], k[2]).norm()).fold(0.0, f64::max)
 }
@@ -314,7 +321,7 @@ fn add_link(
     if statistics.rows < LEAST_ROWS {
         return Ok(());
     }
-    // A few pairs may fit by chance much better than pairs do.
+    // A few pairs may by chance fit much better than pairs usually do.
     let variance = variance.max(common_variance);
     let information =
         (statistics.matrix + Matrix6::identity() * (1e-9 * statistics.matrix.trace())) / variance;
@@ -336,7 +343,7 @@ fn add_link(
     Ok(())
 }
 
-/// The twist in the world of an increment (shift, turn about a place): `(τ + p × φ, φ)`.
+/// The twist in the world of an increment (translation, rotation about a position): `(τ + p × φ, φ)`.
 fn twist_of_increment(place: &Vector3) -> Matrix6<f64> {
     let mut m = Matrix6::identity();
     let cross: Matrix3<f64> = place.cross_matrix();

@@ -1,8 +1,8 @@
-//! A scan made ready for matching.
+//! Prepares a scan for matching.
 
 use portolan_spatial::{KdTree, LocalSurface, Neighbour, local_surfaces};
 
-/// Points of a scan in its own frame (metres), with a search tree and, if asked for, surfaces.
+/// Points of a scan in its own frame (metres), with a search tree and, if requested, surfaces.
 #[derive(Clone, Debug)]
 pub struct ScanCloud {
     points: Vec<[f32; 3]>,
@@ -13,7 +13,7 @@ pub struct ScanCloud {
 }
 
 impl ScanCloud {
-    /// A scan for matching of points to points.
+    /// A scan for point-to-point matching.
     pub fn new(points: Vec<[f32; 3]>) -> Self {
         let tree = KdTree::new(&points);
         let (mut low, mut high) = ([f32::MAX; 3], [f32::MIN; 3]);
@@ -32,8 +32,8 @@ impl ScanCloud {
         cloud
     }
 
-    /// Turns all normals towards a viewpoint (metres, frame of the scan), so that the two sides of a wall can be told
-    /// apart.
+    /// Orients all normals towards a viewpoint (metres, frame of the scan), so that the two sides of a wall
+    /// can be distinguished.
     pub fn with_normals_towards(mut self, viewpoint: [f32; 3]) -> Self {
         for (point, surface) in self.points.iter().zip(&mut self.surfaces) {
             if let Some(surface) = surface {
@@ -69,7 +69,7 @@ impl ScanCloud {
         !self.is_outside(query, max_distance) && self.tree.has_within(query, max_distance)
     }
 
-    /// The nearest point within `max_distance` metres of those that `accept` takes (by index).
+    /// The nearest point within `max_distance` metres of those that `accept` (by index).
     pub fn nearest_where(
         &self,
         query: [f32; 3],
@@ -82,7 +82,7 @@ impl ScanCloud {
         self.tree.nearest_where(query, max_distance, accept)
     }
 
-    /// The nearest point within `max_distance` metres, and how far all others are away at least.
+    /// The nearest point within `max_distance` metres, and a lower bound of the distance of all others.
     pub fn nearest_two(&self, query: [f32; 3], max_distance: f32) -> Option<(Neighbour, f32)> {
         if self.is_outside(query, max_distance) {
             return None;
@@ -90,7 +90,7 @@ impl ScanCloud {
         self.tree.nearest_two(query, max_distance)
     }
 
-    /// Whether a query is farther than this from every point, as far as the bounding box tells.
+    /// Whether a query is farther than this from the bounding box, and so from every point.
     fn is_outside(&self, query: [f32; 3], max_distance: f32) -> bool {
         (0..3).any(|k| query[k] < self.low[k] - max_distance || query[k] > self.high[k] + max_distance)
     }
@@ -100,12 +100,12 @@ impl ScanCloud {
         [self.low, self.high]
     }
 
-    /// Points that have a surface.
+    /// Number of points that have a surface.
     pub fn surface_count(&self) -> usize {
         self.surfaces.iter().flatten().count()
     }
 
-    /// The surface at a point, if it was asked for and there is one.
+    /// The surface at a point, if it was computed and there is one.
     pub fn surface(&self, index: usize) -> Option<&LocalSurface> {
         self.surfaces.get(index)?.as_ref()
     }

@@ -1,4 +1,5 @@
-//! All scans at once: Lu and Milios in six degrees of freedom, in the published parametrisations and on SE(3).
+//! Registers all scans at once: Lu and Milios in six degrees of freedom, in the published parametrisations
+//! and on SE(3).
 
 mod sums;
 mod update;
@@ -12,11 +13,11 @@ use super::{Link, RobustKernel, ScanCloud};
 pub(crate) use sums::LinkSums;
 use update::{move_by_euler, move_by_twist};
 
-/// Holds the first scan where it is.
+/// Stiffness that fixes the first scan.
 const FIXED: f64 = 1e15;
-/// Holds scans that no link reaches, without being felt by others.
+/// Stiffness that holds scans without links, without a noticeable effect on the others.
 const TRACE: f64 = 1e-6;
-/// Covariances are given for so many scans at most.
+/// Maximum number of scans for which covariances are computed.
 const MAX_COVARIANCES: usize = 300;
 
 /// Parametrisation of the poses (specification sections 2.2 to 2.6).
@@ -35,23 +36,24 @@ pub enum GlobalMethod {
     SmallAngle,
 }
 
-/// How scans are matched.
+/// Options of global registration.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct GlobalOptions {
     /// Parametrisation.
     pub method: GlobalMethod,
-    /// Pairs farther apart do not count, metres.
+    /// Maximum distance of pairs, metres.
     pub max_distance: f64,
-    /// Most iterations.
+    /// Maximum number of iterations.
     pub max_iterations: usize,
-    /// It ends when scans move by less than this on average, metres.
+    /// Mean movement of the scans below which it has converged, metres.
     pub epsilon: f64,
-    /// For scans with surfaces: only the distance of a point from the plane of its partner counts, and the normals
-    /// of both must agree (with their signs: see [`ScanCloud::with_normals_towards`]). For the weighted methods.
+    /// For scans with surfaces: uses only the distance of a point from the plane of its partner, and requires
+    /// that the normals of both agree (with their signs: see [`ScanCloud::with_normals_towards`]). For the
+    /// weighted methods.
     pub planes: bool,
-    /// How much less far pairs count when `planes` is set.
+    /// Robust weighting of far pairs when `planes` is set.
     pub kernel: RobustKernel,
-    /// Points of a link that look for a partner at most, chosen evenly.
+    /// Maximum number of points of a link for which a partner is searched, chosen evenly.
     pub max_queries: usize,
 }
 
@@ -69,32 +71,32 @@ impl Default for GlobalOptions {
     }
 }
 
-/// How the matching went.
+/// Result of the registration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GlobalReport {
-    /// Iterations made.
+    /// Number of iterations.
     pub iterations: usize,
-    /// Whether it ended by itself.
+    /// Whether it converged.
     pub converged: bool,
-    /// Links with pairs enough, in the last iteration.
+    /// Number of links with enough pairs, in the last iteration.
     pub links: usize,
-    /// Pairs, in the last iteration.
+    /// Number of pairs, in the last iteration.
     pub pairs: u64,
     /// Root mean square distance of the pairs before the last step, metres.
     pub rms: f64,
     /// Mean movement of the scans in the last iteration, metres.
     pub shift: f64,
-    /// Covariance of each scan's twist (shift, turn; world), the first scan being fixed. For the weighted methods
-    /// and up to a few hundred scans, else empty.
+    /// Covariance of each scan's twist (translation, rotation; world), with the first scan fixed. For the
+    /// weighted methods and up to a few hundred scans, otherwise empty.
     pub covariances: Vec<Matrix6<f64>>,
     /// The last information of each link: scans, MᵀM/s².
     pub information: Vec<(Link, Matrix6<f64>)>,
 }
 
-/// Why scans could not be matched all at once.
+/// Reasons why scans could not be registered globally.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum GlobalError {
-    /// A link names a scan that is not there, or one scan twice.
+    /// A link names a scan that does not exist, or one scan twice.
     #[error("link {} - {} does not join two scans", .0.from, .0.to)]
     BadLink(Link),
     /// The equations have no solution.
@@ -104,11 +106,11 @@ pub enum GlobalError {
     Singular,
 }
 
-/// Moves all scans but the first so that the pairs of all links come together; pairs are searched anew in each
-/// iteration. The result is the same for any number of threads.
+/// Moves all scans but the first so that the pairs of all links come together; pairs are searched anew in
+/// each iteration. The result is the same for any number of threads.
 ///
 /// # Errors
-/// Fails if a link names a scan that is not there, or the equations cannot be solved.
+/// Fails if a link names a scan that does not exist, or the equations cannot be solved.
 pub fn register_globally(
     scans: &[ScanCloud],
     world_from_scan: &mut [Rigid3],
@@ -201,7 +203,7 @@ fn hold(equations: &mut NormalBlocks, count: usize) {
     (1..count).for_each(|i| equations.hold(i, TRACE));
 }
 
-/// G⁻¹ without the first scan (equation 16), its diagonal blocks; the first scan's is zero.
+/// Diagonal blocks of G⁻¹ without the first scan (equation 16); that of the first scan is zero.
 fn covariances(count: usize, information: &[(Link, Matrix6<f64>)]) -> Vec<Matrix6<f64>> {
     if !(2..=MAX_COVARIANCES).contains(&count) {
         return Vec::new();

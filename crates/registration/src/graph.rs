@@ -1,4 +1,4 @@
-//! Which scans are compared with which.
+//! Determines which scans are matched with each other.
 
 use std::borrow::Borrow;
 
@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::ScanCloud;
 
-/// Two scans that are compared.
+/// Two scans that are matched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Link {
     /// The earlier scan.
@@ -16,8 +16,8 @@ pub struct Link {
     pub to: usize,
 }
 
-/// Neighbours, and scans more than `min_loop` apart in number that were taken within `max_distance` metres of each
-/// other.
+/// Links neighbours, and scans with indices more than `min_loop` apart whose positions are within
+/// `max_distance` metres of each other.
 pub fn links_by_distance(world_from_scan: &[Rigid3], min_loop: usize, max_distance: f64) -> Vec<Link> {
     let mut links = Vec::new();
     for (from, a) in world_from_scan.iter().enumerate() {
@@ -31,8 +31,8 @@ pub fn links_by_distance(world_from_scan: &[Rigid3], min_loop: usize, max_distan
     links
 }
 
-/// Scans with more than `min_pairs` points of the later one within `max_distance` metres of a point of the earlier.
-/// Each two scans are linked at most once.
+/// Links scans with more than `min_pairs` points of the later one within `max_distance` metres of a point of
+/// the earlier one. Each two scans are linked at most once.
 pub fn links_by_overlap<S: Borrow<ScanCloud> + Sync>(
     scans: &[S],
     world_from_scan: &[Rigid3],

@@ -11,15 +11,15 @@ use pairs::Pairing;
 use portolan_spatial::{ClosedForm, best_transform};
 use sums::{equations, point_moments};
 
-/// Fewest pairs that a step is made with.
+/// Minimum number of pairs for a step.
 const LEAST_PAIRS: usize = 4;
-/// With planes each pair tells one number only.
+/// The same with planes, where each pair gives only one residual.
 const LEAST_PLANES: u64 = 6;
 
-/// What is minimised.
+/// The cost that is minimised.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub enum IcpMethod {
-    /// Distances of points, by a closed form.
+    /// Distances of points, in closed form.
     PointToPoint(ClosedForm),
     /// Distances of points from the tangent planes of the model (Chen and Medioni 1992).
     PointToPlane,
@@ -27,10 +27,10 @@ pub enum IcpMethod {
     Generalized,
 }
 
-/// How much less far pairs count.
+/// Robust weighting of far pairs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub enum RobustKernel {
-    /// All alike.
+    /// Equal weights.
     #[default]
     None,
     /// Linear beyond the scale (metres).
@@ -42,7 +42,7 @@ pub enum RobustKernel {
 }
 
 impl RobustKernel {
-    /// What a residual counts at this distance, metres: from 0 to 1.
+    /// Weight of a residual of this distance, metres: from 0 to 1.
     pub fn weight(self, distance: f64) -> f64 {
         match self {
             Self::None => 1.0,
@@ -53,29 +53,29 @@ impl RobustKernel {
     }
 }
 
-/// How scans are matched.
+/// Options of ICP.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct IcpOptions {
-    /// What is minimised.
+    /// The cost that is minimised.
     pub method: IcpMethod,
-    /// Pairs farther apart do not count, metres.
+    /// Maximum distance of pairs, metres.
     pub max_distance: f64,
-    /// Most iterations; of large scans with few points first, and again with all.
+    /// Maximum number of iterations; large scans have it twice, with few points first and then with all.
     pub max_iterations: usize,
-    /// It ends when the distance of pairs has changed by less in each of two iterations, metres.
+    /// Change of the distance of pairs in each of two iterations below which it has converged, metres.
     pub epsilon: f64,
-    /// Only pairs each of which is the nearest of the other.
+    /// Whether only pairs are used each of which is the nearest of the other.
     pub reciprocal: bool,
     /// Fraction of the nearest pairs that is used, above 0 to 1.
     pub keep: f64,
-    /// Least cosine between the normals of a pair, where both have one; −1 uses all.
+    /// Minimum absolute cosine between the normals of a pair, where both have one; −1 uses all.
     pub least_cosine: f64,
-    /// How much less far pairs count.
+    /// Robust weighting of far pairs.
     pub kernel: RobustKernel,
-    /// Only every so manieth point of the data scan looks for a partner; 1 for all.
+    /// Stride of the points of the data scan for which a partner is searched; 1 for all.
     pub every: usize,
-    /// Larger data scans are first brought to rest with so many of their points, then with all; 0 takes all from the
-    /// start. The result is the same within the rest that ends the iteration.
+    /// Number of points with which larger data scans are first matched, before all are used; 0 uses all from
+    /// the start. The result is the same within the tolerance of convergence.
     pub first_points: usize,
 }
 
@@ -96,34 +96,34 @@ impl Default for IcpOptions {
     }
 }
 
-/// Why scans could not be matched.
+/// Reasons why scans could not be matched.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum IcpError {
     /// A scan without points.
     #[error("the {0} scan has no points")]
     NoPoints(&'static str),
-    /// All points of a scan are one.
+    /// All points of a scan coincide.
     #[error("all points of the {0} scan lie at one place")]
     OnePlace(&'static str),
-    /// Too few points lie near each other.
+    /// Too few points are near each other.
     #[error(
         "only {found} of {points} points have a partner within {max_distance} m{}; give a better guess or a larger distance",
         nearest.map_or(String::new(), |d| format!(" (the nearest two points are {d:.3} m apart)"))
     )]
     TooFewPairs {
-        /// Pairs.
+        /// Number of pairs.
         found: usize,
-        /// Points that looked for a partner.
+        /// Number of points for which a partner was searched.
         points: usize,
-        /// As far as they looked, metres.
+        /// Maximum distance of the search, metres.
         max_distance: f64,
-        /// Distance of the two scans, metres, as far as a sample tells.
+        /// Distance of the two scans, metres, estimated from a sample.
         nearest: Option<f64>,
     },
-    /// Planes are asked for, but the points have no surfaces.
+    /// A method with planes is requested, but the points have no surfaces.
     #[error("no point of the model lies on a surface: take a method that compares points, or denser scans")]
     NoSurfaces,
-    /// The pairs do not tell a transform.
+    /// The pairs do not determine a transform.
     #[error("the pairs do not determine a transform (do all of them lie on one line?)")]
     Undetermined,
 }
@@ -133,23 +133,25 @@ pub enum IcpError {
 pub struct IcpResult {
     /// The data scan in the frame of the model.
     pub model_from_data: Rigid3,
-    /// Iterations made.
+    /// Number of iterations.
     pub iterations: usize,
-    /// Whether it ended by itself.
+    /// Whether it converged.
     pub converged: bool,
-    /// Pairs in the last iteration.
+    /// Number of pairs in the last iteration.
     pub pairs: u64,
     /// Root mean square distance of the pairs, metres.
     pub rms: f64,
-    /// Covariance of the twist (turn, shift) in the frame of the model; none where the pairs do not determine
-    /// all of it.
+    /// Covariance of the twist (rotation, translation) in the frame of the model; none where the pairs do not
+    /// determine all of it.
     pub covariance: Option<Matrix6<f64>>,
 }
 
-/// Moves the data scan onto the model, beginning at a guess. The result is the same for any number of threads.
+/// Moves the data scan onto the model, starting from a guess. The result is the same for any number of
+/// threads.
 ///
 /// # Errors
-/// Fails if one of the scans has no extent, too few points lie near each other, or pairs do not tell a transform.
+/// Fails if one of the scans has no extent, too few points are near each other, or pairs do not determine a
+/// transform.
 pub fn icp<M: Model>(
     model: &M,
     data: &ScanCloud,
@@ -159,7 +161,7 @@ pub fn icp<M: Model>(
     check(model, data, options)?;
     let mut pairing = Pairing::new(model, data, options);
     let mut run = Run { pose: *guess, iterations: 0, converged: false };
-    // Few points are enough to come near; at last all of them count.
+    // Few points suffice to come near; finally all of them are used.
     for stride in pairing.strides() {
         run.iterate(&mut pairing, stride, options)?;
     }
@@ -183,7 +185,7 @@ fn check<M: Model>(model: &M, data: &ScanCloud, options: &IcpOptions) -> Result<
     }
 }
 
-/// Where the iteration stands.
+/// State of the iteration.
 struct Run {
     pose: Rigid3,
     iterations: usize,
@@ -191,7 +193,7 @@ struct Run {
 }
 
 impl Run {
-    /// Steps with every so manieth point until the distance of pairs rests.
+    /// Steps with every `stride`-th point until convergence.
     fn iterate<M: Model>(
         &mut self,
         pairing: &mut Pairing<M>,

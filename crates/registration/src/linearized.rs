@@ -63,8 +63,8 @@ impl TwistEquations {
         self.count += other.count;
     }
 
-    /// The step as a transform in the frame of the model. Directions that the pairs do not determine stay as they
-    /// are. None if nothing finite comes out.
+    /// The step as a transform in the frame of the model. Directions that the pairs do not determine are left
+    /// unchanged. None if the result is not finite.
     pub fn step(&self) -> Option<Rigid3> {
         let eigen = na::SymmetricEigen::new(self.matrix);
         let least = 1e-9 * eigen.eigenvalues.max().max(f64::MIN_POSITIVE);

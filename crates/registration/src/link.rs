@@ -1,14 +1,15 @@
-//! What the pairs of two scans tell about their poses (specification section 2.2, equations 7 to 9).
+//! Information of the pairs of two scans on their poses (specification section 2.2, equations 7 to 9).
 
 use nalgebra::{Matrix6, Vector6};
 use portolan_geometry::Vector3;
 
-/// With fewer pairs there is no link; with less scatter the pairs are identical points, which tell nothing.
+/// Minimum number of pairs of a link.
 const MIN_PAIRS: u64 = 3;
+/// Minimum variance of a link: with less scatter the pairs are identical points, which carry no information.
 const LEAST_VARIANCE: f64 = 1e-12;
 
-/// Sums over the pairs (p of scan a, q of scan b, world) of a link: with midpoints m and differences z = p − q the
-/// normal equations of `z ≈ M (X_a − X_b)`, `M = [I | −[m]×]`, in the order shift, turn.
+/// Sums over the pairs (p of scan a, q of scan b, world) of a link: with midpoints m and differences z = p −
+/// q the normal equations of `z ≈ M (X_a − X_b)`, `M = [I | −[m]×]`, in the order translation, rotation.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LinkStatistics {
     /// Number of pairs.
@@ -45,7 +46,7 @@ impl LinkStatistics {
         self.squares += z.norm_squared();
     }
 
-    /// Adds a pair of which only the distance along a unit normal counts: `n · z ≈ nᵀ M (X_a − X_b)`.
+    /// Adds a pair of which only the distance along a unit normal is used: `n · z ≈ nᵀ M (X_a − X_b)`.
     pub fn add_plane(&mut self, p: &Vector3, q: &Vector3, normal: &Vector3, weight: f64) {
         let (m, distance) = ((p + q) * 0.5, normal.dot(&(p - q)));
         let lever = m.cross(normal);
@@ -72,7 +73,7 @@ impl LinkStatistics {
         if self.count < MIN_PAIRS {
             return None;
         }
-        // Planes may leave directions open; they get no difference.
+        // Planes may leave directions undetermined; these get no difference.
         let slack = Matrix6::identity() * (1e-9 * self.matrix.trace());
         let difference = (self.matrix + slack).cholesky()?.solve(&self.vector);
         let rest = self.squares - self.vector.dot(&difference);

@@ -1,4 +1,4 @@
-//! Which scans are compared with which, from a text.
+//! Reads from a text which scans are matched with each other.
 
 use crate::Link;
 
@@ -6,12 +6,13 @@ use crate::Link;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}: {reason}")]
 pub struct BadLinkLine {
-    /// From 1.
+    /// Line number, from 1.
     line: usize,
     reason: String,
 }
 
-/// The links in a text: number of scans, number of links, then two scans a line, counted from 0. There are `count` scans.
+/// Parses the links in a text: number of scans, number of links, then two scans a line, counted from 0. There
+/// are `count` scans.
 ///
 /// # Errors
 /// Fails on a line that does not name two of the scans.

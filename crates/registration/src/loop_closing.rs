@@ -1,8 +1,8 @@
-//! Loop closing: a correction found where a loop closes is shared out over its scans (explicit loop closing heuristic;
-//! Sprickerhof, Nüchter, Lingemann and Hertzberg 2009; specification section 3).
+//! Loop closing: the correction found at the end of a loop is distributed over its scans (explicit loop
+//! closing heuristic; Sprickerhof, Nüchter, Lingemann and Hertzberg 2009; specification section 3).
 //!
-//! How much of it each scan gets follows from how well the links between scans are determined: weak links give way
-//! more. Rotations are shared out by spherical interpolation.
+//! The fraction that each scan gets follows from how well the links between scans are determined: weak links
+//! take more of it. Rotations are distributed by spherical interpolation.
 
 use std::collections::BTreeSet;
 
@@ -11,17 +11,17 @@ use portolan_geometry::{Quaternion, Rigid3, Vector3, nalgebra as na};
 use super::global::LinkSums;
 use super::{GlobalOptions, Link, ScanCloud};
 
-/// No link is stiffer.
+/// Minimum variance of a link.
 const LEAST: f64 = 1e-12;
-/// A link without pairs enough gives way as much as this (variance), square metres or radians.
+/// Variance of a link without enough pairs, square metres or square radians.
 const WEAK: f64 = 1.0;
 
-/// How easily a link gives way: variances of shift along x, y and z (world), and of rotation.
+/// Cost of a link: variances of the translation along x, y and z (world), and of the rotation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkCost {
     /// The link.
     pub link: Link,
-    /// Square metres (three times) and square radians.
+    /// Variances, square metres (three times) and square radians.
     pub variances: [f64; 4],
 }
 
@@ -40,7 +40,8 @@ pub fn link_costs(
             .and_then(|(_, variance)| Some(statistics.matrix.try_inverse()? * variance))
             .filter(|c| c.diagonal().iter().all(|v| v.is_finite() && *v > 0.0));
         let variances = match covariance {
-            // The twist is about the origin of the world; what counts is the shift of the scan itself.
+            // The twist is about the origin of the world; the cost is that of the translation of the scan
+            // itself.
             Some(c) => {
                 let place = world_from_scan[link.to].translation.vector;
                 let lever = -place.cross_matrix();
@@ -57,11 +58,11 @@ pub fn link_costs(
     links.iter().map(cost).collect()
 }
 
-/// The fraction of a correction that each scan gets, 0 to 1: none at `first`, all at `last`. The cheapest way between two
-/// scans whose shares are known is found again and again, shares along it grow with its costs, and what hangs on
-/// one scan gets that scan's share. Scans without any link stay (share 0).
+/// The fraction of a correction that each scan gets, 0 to 1: none at `first`, all at `last`. The cheapest
+/// path between two scans with known fractions is found repeatedly. Fractions along it grow with its costs,
+/// and a branch at a scan gets the fraction of that scan. Scans without any link do not move (fraction 0).
 ///
-/// `costs` are the links (scan, scan) and how easily they give way.
+/// `costs` are the links (scan, scan) and their variances.
 pub fn balance(count: usize, costs: &[(usize, usize, f64)], first: usize, last: usize) -> Vec<f64> {
     let mut shares: Vec<Option<f64>> = vec![None; count];
     if first >= count || last >= count || first == last {
@@ -99,7 +100,7 @@ pub fn balance(count: usize, costs: &[(usize, usize, f64)], first: usize, last: 
     shares.into_iter().map(|share| share.unwrap_or(0.0)).collect()
 }
 
-/// A way between two scans with known shares.
+/// A path between two scans with known fractions.
 struct Way {
     scans: Vec<usize>,
     /// Costs from the first scan to each.
@@ -107,7 +108,7 @@ struct Way {
     links: Vec<usize>,
 }
 
-/// The cheapest way through unused links from one scan with a fraction to another, by way of scans without one
+/// The cheapest path through unused links from one scan with a fraction to another, via scans without one
 /// (Dijkstra from all scans with a fraction at once).
 fn cheapest_way(
     count: usize,
@@ -171,8 +172,9 @@ fn nearest_open(reached: &[Option<(f64, usize, Option<usize>)>], done: &[bool]) 
     open.min_by(|a, b| cost(a).total_cmp(&cost(b)))
 }
 
-/// Shares out a correction over all scans. `world_correction` moves scan `last` (and what it was matched together
-/// with) onto scan `first`; `costs` are those of all links so far. The first scan of all stays where it is.
+/// Distributes a correction over all scans. `world_correction` moves scan `last` (and the scans matched
+/// together with it) onto scan `first`; `costs` are those of all links so far. The first of all scans is not
+/// moved.
 pub fn close_loop(
     world_from_scan: &mut [Rigid3],
     costs: &[LinkCost],
@@ -186,7 +188,7 @@ pub fn close_loop(
         let costs: Vec<_> = costs.iter().map(|c| (c.link.from, c.link.to, c.variances[k])).collect();
         balance(count, &costs, first, last)
     });
-    // In axes of the world about the first scan of the loop: those the costs are in.
+    // In axes of the world, as the costs, about the first scan of the loop.
     let about = world_from_first.translation;
     let correction = about.inverse() * world_correction * about;
     let shift = correction.translation.vector;
@@ -210,11 +212,11 @@ mod tests {
 
     #[test]
     fn shares_grow_along_the_loop_and_branches_follow() {
-        // A chain 0 … 5 with the loop from 1 to 4; 6 hangs on 2.
+        // A chain 0 … 5 with the loop from 1 to 4; 6 is linked to 2 only.
         let costs = [(0, 1, 1.0), (1, 2, 1.0), (2, 3, 2.0), (3, 4, 1.0), (4, 5, 1.0), (2, 6, 9.0)];
         let shares = balance(8, &costs, 1, 4);
         assert_eq!(shares, [0.0, 0.0, 0.25, 0.75, 1.0, 1.0, 0.25, 0.0]);
-        // A second, dearer way between scans of the first one.
+        // A second path with higher costs between scans of the first one.
         let more: Vec<_> = costs.into_iter().chain([(2, 7, 5.0), (7, 3, 5.0)]).collect();
         assert!((balance(8, &more, 1, 4)[7] - 0.5).abs() < 1e-12);
         assert_eq!(balance(3, &[], 0, 2), [0.0, 0.0, 1.0]);
@@ -228,7 +230,7 @@ mod tests {
             .map(|i| f64::from(i) * std::f64::consts::TAU / 12.0)
             .map(|a| Rigid3::new(Vector3::new(10.0 * a.cos(), 10.0 * a.sin(), 0.0), Vector3::z() * a))
             .collect();
-        // Each step turns and climbs a little too much.
+        // Each step rotates and climbs a little too much.
         let drift = Rigid3::new(Vector3::new(0.0, 0.0, 0.02), Vector3::z() * 0.004);
         let mut poses = vec![truth[0]];
         for pair in truth.windows(2) {

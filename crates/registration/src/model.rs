@@ -1,4 +1,4 @@
-//! What a scan is matched with: another scan, or several that are already in place.
+//! Models that a scan is matched with: another scan, or several registered ones.
 
 use portolan_geometry::{Rigid3, Vector3, nalgebra as na};
 
@@ -7,20 +7,20 @@ use super::ScanCloud;
 /// A point of a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ModelPoint {
-    /// Number of the scan in the model.
+    /// Index of the scan in the model.
     pub scan: u32,
-    /// Number of the point in the scan.
+    /// Index of the point in the scan.
     pub point: u32,
 }
 
 /// The nearest point of a model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ModelHit {
-    /// Which.
+    /// The point.
     pub at: ModelPoint,
     /// Its distance, metres.
     pub distance: f32,
-    /// All other points of the model are at least so far away, metres (as far as was searched).
+    /// Lower bound of the distance of all other points of the model, metres (up to the search distance).
     pub others: f32,
 }
 
@@ -29,13 +29,13 @@ pub trait Model: Sync {
     /// The nearest point within `max_distance` metres.
     fn hit(&self, query: [f32; 3], max_distance: f32) -> Option<ModelHit>;
 
-    /// Place of a point, metres, frame of the model.
+    /// Position of a point, metres, frame of the model.
     fn place(&self, at: ModelPoint) -> Vector3;
 
-    /// Unit normal at a point, if surfaces were asked for and there is one.
+    /// Unit normal at a point, if surfaces were computed and there is one.
     fn normal(&self, at: ModelPoint) -> Option<Vector3>;
 
-    /// How many points it has.
+    /// Number of its points.
     fn count(&self) -> usize;
 
     /// Whether points have surfaces.
@@ -66,14 +66,15 @@ impl Model for ScanCloud {
     }
 }
 
-/// Several scans as one model (a metascan). Nothing is copied or sorted anew: each scan keeps its own search tree.
+/// Several scans as one model (a metascan). Nothing is copied or sorted again: each scan keeps its own search
+/// tree.
 #[derive(Clone, Debug, Default)]
 pub struct Metascan<'a> {
     scans: Vec<(&'a ScanCloud, Rigid3, Rigid3)>,
 }
 
 impl<'a> Metascan<'a> {
-    /// Scans and where they lie in the frame of the model.
+    /// Scans and their poses in the frame of the model.
     pub fn new(scans: impl IntoIterator<Item = (&'a ScanCloud, Rigid3)>) -> Self {
         Self { scans: scans.into_iter().map(|(scan, pose)| (scan, pose, pose.inverse())).collect() }
     }
@@ -86,7 +87,7 @@ impl Model for Metascan<'_> {
         let query = na::Point3::from(query.map(f64::from));
         for (number, (scan, _, scan_from_model)) in self.scans.iter().enumerate() {
             let local = scan_from_model * query;
-            // As far as the second nearest so far: nearer ones are wanted, too.
+            // Up to the distance of the second nearest point so far, since nearer ones also count.
             let Some(hit) = scan.hit([local.x as f32, local.y as f32, local.z as f32], others) else {
                 continue;
             };

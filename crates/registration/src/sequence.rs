@@ -1,4 +1,4 @@
-//! Scan after scan: each is matched with those before it, and loops are closed when they end.
+//! Registers scans in sequence: each is matched with those before it, and loops are closed when they end.
 
 use portolan_geometry::{Rigid3, angle_axis_from_quaternion};
 
@@ -8,10 +8,10 @@ use super::{
     ScanCloud, icp, register_globally,
 };
 
-/// Scans on each side of the ends of a loop that are matched together.
+/// Number of scans on each side of the ends of a loop that are matched together.
 const LOOP_SCANS: usize = 2;
 
-/// Which earlier scans a scan is matched with.
+/// The earlier scans that a scan is matched with.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub enum ModelScans {
     /// The one before it.
@@ -19,20 +19,20 @@ pub enum ModelScans {
     Previous,
     /// All before it (metascan).
     All,
-    /// So many before it.
+    /// This number of scans before it.
     Last(usize),
 }
 
-/// When a loop is closed.
+/// Options of loop closing.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct LoopOptions {
-    /// Scans nearer to each other than this close a loop, metres.
+    /// Distance of scans below which they close a loop, metres.
     pub distance: f64,
-    /// Scans that lie at least between.
+    /// Minimum difference of the indices of these scans.
     pub least_scans: usize,
-    /// Farthest points of a pair when the ends are matched, metres.
+    /// Maximum distance of paired points when the ends are matched, metres.
     pub max_distance: f64,
-    /// Most iterations of that.
+    /// Maximum number of iterations of that matching.
     pub max_iterations: usize,
 }
 
@@ -42,16 +42,17 @@ impl Default for LoopOptions {
     }
 }
 
-/// How scans are registered one after the other.
+/// Options of registration in sequence.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct SequenceOptions {
     /// Matching of two scans.
     pub icp: IcpOptions,
-    /// With which scans.
+    /// The scans that a scan is matched with.
     pub model: ModelScans,
-    /// First guesses are good: a scan does not begin where the correction of the one before would put it.
+    /// Whether initial guesses are accurate: then the correction of the scan before is not applied to a
+    /// guess.
     pub trust_poses: bool,
-    /// Closing of loops; none for no closing.
+    /// Loop closing; none for no closing.
     pub loops: Option<LoopOptions>,
 }
 
@@ -62,13 +63,13 @@ pub struct ClosedLoop {
     pub first: usize,
     /// Its last scan.
     pub last: usize,
-    /// How far the last scan was off, metres.
+    /// Translation of the last scan by the correction, metres.
     pub translation: f64,
-    /// By what angle, radians.
+    /// Angle of its rotation by the correction, radians.
     pub rotation: f64,
 }
 
-/// What came out, scan by scan.
+/// Results, scan by scan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SequenceReport {
     /// Results of the matching; none for the first scan.
@@ -77,9 +78,10 @@ pub struct SequenceReport {
     pub loops: Vec<ClosedLoop>,
 }
 
-/// Registers scans in their order. `world_from_scan` holds first guesses and then the results; the first scan stays.
-/// A scan that cannot be matched moves with the one before it, which the report tells. `observe` is called with the
-/// number of each finished scan. The same for any number of threads.
+/// Registers scans in their order. `world_from_scan` holds initial guesses and then the results; the first
+/// scan is not moved. A scan that cannot be matched moves with the one before it, and its error is in the
+/// report. `observe` is called with the index of each finished scan. The result is the same for any number of
+/// threads.
 pub fn register_sequence(
     scans: &[ScanCloud],
     world_from_scan: &mut [Rigid3],
@@ -105,7 +107,7 @@ pub fn register_sequence(
             let candidate = loop_candidate(world_from_scan, index, &loops);
             let ended = open.filter(|_| candidate.is_none());
             open = match (open, candidate) {
-                // The pair of scans nearest to each other, while the way stays near.
+                // The pair of scans nearest to each other, as long as the path stays near.
                 (Some(a), Some(b)) => {
                     Some(if apart(world_from_scan, a) <= apart(world_from_scan, b) { a } else { b })
                 }
@@ -126,7 +128,7 @@ fn apart(poses: &[Rigid3], link: Link) -> f64 {
     (poses[link.from].translation.vector - poses[link.to].translation.vector).norm()
 }
 
-/// The earlier scan nearest to a scan, if a loop closes there.
+/// The earlier scan nearest to a scan, if they close a loop.
 fn loop_candidate(poses: &[Rigid3], index: usize, loops: &LoopOptions) -> Option<Link> {
     let old = index.checked_sub(loops.least_scans.max(1))?;
     (0..old)
@@ -147,7 +149,7 @@ fn match_scan(
         ModelScans::Last(count) => index.saturating_sub(count.max(1)),
     };
     if from + 1 == index {
-        // In the frame of the scan before, so that nothing has to be moved for each query.
+        // In the frame of the scan before, so that no query has to be transformed.
         let previous = poses[index - 1];
         let guess = previous.inverse() * poses[index];
         let found = icp(&scans[index - 1], &scans[index], &guess, &options.icp)?;
@@ -157,10 +159,10 @@ fn match_scan(
     icp(&model, &scans[index], &poses[index], &options.icp)
 }
 
-/// A result in the frame of another scan as one in the world.
+/// Transforms a result from the frame of another scan to the world.
 fn in_world(found: IcpResult, world_from_model: &Rigid3) -> IcpResult {
     let covariance = found.covariance.map(|c| {
-        // Twists (turn, shift) are carried along by the adjoint.
+        // Covariances of twists (rotation, translation) are transformed by the adjoint.
         let rotation = world_from_model.rotation.to_rotation_matrix();
         let mut adjoint = nalgebra::Matrix6::zeros();
         adjoint.fixed_view_mut::<3, 3>(0, 0).copy_from(rotation.matrix());
@@ -172,7 +174,7 @@ fn in_world(found: IcpResult, world_from_model: &Rigid3) -> IcpResult {
     IcpResult { model_from_data: world_from_model * found.model_from_data, covariance, ..found }
 }
 
-/// Matches the scans about both ends of a loop and shares out what is found; none if they do not match.
+/// Matches the scans around both ends of a loop and distributes the correction; none if they do not match.
 fn try_to_close(
     scans: &[ScanCloud],
     poses: &mut [Rigid3],
@@ -198,7 +200,7 @@ fn try_to_close(
         method: super::IcpMethod::PointToPoint(portolan_spatial::ClosedForm::Quaternion),
         max_distance: loops.max_distance,
         max_iterations: loops.max_iterations,
-        // Far pairs are needed to come near, but must not hold the result.
+        // Far pairs are needed to converge from a distance, but must not bias the result.
         kernel: RobustKernel::Cauchy(options.icp.max_distance),
         ..options.icp
     };
@@ -212,7 +214,8 @@ fn try_to_close(
     Some(ClosedLoop { first: link.from, last: link.to, translation: moved.norm(), rotation })
 }
 
-/// Scans that no link joins to the first one, ascending; they stay where they are in the global matching.
+/// Scans that no chain of links connects with the first one, ascending; they are not moved in global
+/// registration.
 pub fn unlinked_scans(count: usize, links: &[Link]) -> Vec<usize> {
     let mut reached = vec![false; count];
     let mut open = vec![0];
@@ -227,11 +230,11 @@ pub fn unlinked_scans(count: usize, links: &[Link]) -> Vec<usize> {
     (0..count).filter(|i| !reached[*i]).collect()
 }
 
-/// Registers all scans at once, first coarsely with pairs up to `max_distance`, then again with the last, smaller
-/// distance, if one is given. As [`register_globally`], whose errors it has.
+/// Registers all scans at once, first coarsely with pairs up to `max_distance`, then again with the smaller
+/// `last_distance`, if given. As [`register_globally`], with the same errors.
 ///
 /// # Errors
-/// Fails if a link names a scan that is not there, or the equations cannot be solved.
+/// Fails if a link names a scan that does not exist, or the equations cannot be solved.
 pub fn register_globally_twice(
     scans: &[ScanCloud],
     world_from_scan: &mut [Rigid3],

@@ -1,4 +1,4 @@
-//! 2D scans kept in memory until the map is finished.
+//! Keeps 2D scans in memory, compressed, until the map is finished.
 
 use portolan_geometry::{Point3f, Rigid3f};
 use portolan_grids::beam_spacing;
@@ -40,7 +40,7 @@ impl KeptScan2d {
         }
     }
 
-    /// How far its beams are apart, radians.
+    /// Angle between its beams, radians.
     pub fn beam_spacing(&self) -> f32 {
         self.beam_spacing
     }

@@ -1,16 +1,16 @@
-//! Which points of a scan show a surface that was sampled densely.
+//! Selects the points of a scan on densely sampled surfaces.
 //!
-//! Far along a wall the hits of neighbouring beams are metres apart. Drawn into a grid they are a dotted
-//! line, and the next scan fits best dot on dot: as if the robot had not moved. Such points tell the
-//! heading, but must not tell how far the robot went.
+//! Far along a wall the hits of neighbouring beams are metres apart. In a grid they form a dotted line, and
+//! the next scan fits best dot on dot: as if the robot had not moved. Such points constrain the heading, but
+//! must not constrain the motion along the wall.
 
 use portolan_sensor::PointCloud;
 
-/// So many returns must lie around a point, itself among them.
+/// Minimum number of returns around a point, including itself.
 const MIN_RETURNS: usize = 3;
 
-/// The points of `cloud` that have other returns around them, within one to two times `spacing` metres
-/// in 2D. All of them if that leaves less than `min_share` of them.
+/// The points of `cloud` that have other returns around them, within one to two times `spacing` metres in 2D.
+/// None, for all of them, if no point is left out, or less than `min_share` of them would be left.
 pub fn densely_sampled(
     cloud: &PointCloud,
     returns: &PointCloud,

@@ -1,4 +1,4 @@
-//! Matchers as the options describe them, and matching a scan against the submap that is being filled
+//! Builds 2D scan matchers from the options, and matches scans to the submap that is being filled
 //! (`slam2d.md` §5, 10).
 
 use portolan_config::{
@@ -16,19 +16,19 @@ use portolan_solver::SolverOptions;
 use crate::sampling_density::densely_sampled;
 use crate::{SearchWindow, Submap2d};
 
-/// Correlative search around the prediction, if asked for, then descent along the gradient.
+/// Correlative search around the prediction, if the options enable it, then descent along the gradient.
 pub struct ScanMatcher2d {
     correlative: Option<RealTimeCorrelativeOptions>,
     largest_penalty: f64,
-    /// The gradient matcher starts from the search's result; whether it is also held there, or near the
-    /// prediction.
+    /// The gradient matcher starts from the result of the search. This decides whether it is also held there,
+    /// or near the prediction.
     holds_search_result: bool,
     gradient: GradientMatcher2d,
 }
 
 impl ScanMatcher2d {
-    /// With the options of local SLAM; weights that are not positive are an error.
-    /// `search_penalty_limit` is what `portolan.search_penalty_limit` says.
+    /// With the options of local SLAM; weights that are not positive are an error. `search_penalty_limit` is
+    /// the value of `portolan.search_penalty_limit`.
     pub fn new(
         options: &TrajectoryBuilder2dOptions,
         search_penalty_limit: f64,
@@ -53,13 +53,14 @@ impl ScanMatcher2d {
         })
     }
 
-    /// The window of the search around predictions that the options ask for, if there is one.
+    /// The window of the search around predictions by the options, if there is one.
     pub fn usual_window(&self) -> Option<SearchWindow> {
         let options = self.correlative.as_ref()?;
         Some(SearchWindow { linear: options.linear_search_window, angular: options.angular_search_window })
     }
 
-    /// The search in a window, with the usual preference for its middle stretched to its size, limited to this share of scores.
+    /// The search in a window. The usual penalty for the distance from its middle is stretched to its size,
+    /// and limited to `largest_penalty`, a fraction of scores.
     fn search_in(
         &self,
         window: Option<SearchWindow>,
@@ -81,8 +82,9 @@ impl ScanMatcher2d {
         Some(RealTimeCorrelativeMatcher2d::new(&options).ok()?.with_largest_penalty(largest_penalty))
     }
 
-    /// The pose of the scan in the local map. `cloud` are the points to match, picked from `returns`.
-    /// Without a submap the prediction is all there is. The search goes as far as `window` says, or the options.
+    /// The pose of the scan in the local map. `cloud` are the points to match, selected from `returns`.
+    /// Without a submap the result is the prediction. `window` is the search window; none: that of the
+    /// options.
     pub fn match_scan(
         &self,
         prediction: Rigid2,
@@ -95,8 +97,8 @@ impl ScanMatcher2d {
         self.match_to(submap, prediction, [cloud, returns], self.search_in(window, self.largest_penalty))
     }
 
-    /// Where the search finds the scan in a window around each of several poses, in which no place is preferred. Empty without a
-    /// search.
+    /// Results of the search in a window around each of several poses, without a penalty for the distance.
+    /// Empty without a search.
     pub fn search_around(
         &self,
         submap: &Submap2d,
@@ -114,13 +116,13 @@ impl ScanMatcher2d {
         .collect()
     }
 
-    /// Goes on from where the search found a scan, along the gradient.
+    /// Refines the result of a search along the gradient.
     pub fn refined(&self, submap: &Submap2d, found: &Searched, cloud: &PointCloud) -> Rigid2 {
         let held = if self.holds_search_result { found.pose } else { found.around };
         self.gradient.match_scan(held.translation, &found.pose, cloud, &submap.grid).pose
     }
 
-    /// What is searched instead of the points to match, if that is more.
+    /// The densely sampled points, which are searched instead of all points to match; none: all are searched.
     fn dense(&self, submap: &Submap2d, [cloud, returns]: [&PointCloud; 2]) -> Option<PointCloud> {
         let spacing = (DENSE_CELLS * submap.grid.limits().resolution()) as f32;
         self.holds_search_result.then(|| densely_sampled(cloud, returns, spacing, MIN_DENSE_SHARE)).flatten()
@@ -145,10 +147,10 @@ impl ScanMatcher2d {
     }
 }
 
-/// Where a search found a scan.
+/// Result of a search for a scan.
 #[derive(Clone, Copy, Debug)]
 pub struct Searched {
-    /// How well it fits there.
+    /// Score of the match.
     pub score: f32,
     /// In the local map.
     pub pose: Rigid2,
@@ -156,7 +158,7 @@ pub struct Searched {
     around: Rigid2,
 }
 
-/// Where a scan was found.
+/// Result of matching a scan.
 #[derive(Clone, Copy, Debug)]
 pub struct ScanMatch2d {
     /// In the local map.
@@ -176,23 +178,24 @@ impl Answer for ScanMatch2d {
     }
 }
 
-/// Hits of neighbouring beams that are further apart than so many cells draw dots, not a wall.
+/// Distance between hits of neighbouring beams, in cells, above which they form dots, not a wall.
 const DENSE_CELLS: f64 = 3.0;
-/// With less than this fraction of the points left, sparse ones are used as well.
+/// Fraction of densely sampled points below which sparse ones are used as well.
 const MIN_DENSE_SHARE: f64 = 0.2;
 
-/// How fast a robot is thought to be able to go and turn when nothing was seen of it.
+/// Assumed maximum speed of a robot in a gap without scans, m/s.
 const UNSEEN_SPEED: f64 = 1.0;
+/// Assumed maximum rate of rotation of a robot in a gap without scans, rad/s.
 const UNSEEN_TURN_RATE: f64 = 1.5;
-/// Metres beyond which it is not looked for, however long the gap.
+/// Maximum distance of the search after a gap, however long, metres.
 const WIDEST_SEARCH: f64 = 5.0;
-/// A mean probability below this is no match. After a turn much of what is seen is new and counts as
-/// free, so that this is low.
+/// Minimum mean probability of a match. After a rotation much of the scan is new and counts as free, so that
+/// this is low.
 const MIN_WIDE_SCORE: f32 = 0.25;
 
-/// The pose of a scan that was taken `gap_seconds` after the last one, with nothing known of the motion
-/// between: the best placement as far away as the robot can have gone, slightly preferring the last
-/// pose. `None` if the scan does not fit anywhere there.
+/// The pose of a scan that was taken `gap_seconds` after the last one, with no measurement of the motion
+/// between: the best placement within the distance that the robot can have travelled, slightly preferring the
+/// last pose. `None` if the scan does not fit anywhere there.
 pub fn search_after_gap(
     last_pose: Rigid2,
     gap_seconds: f64,

@@ -1,5 +1,5 @@
-//! Matchers in 3D as the options describe them, and matching a scan against the submap that is being
-//! filled (`slam3d.md` §3).
+//! Builds 3D scan matchers from the options, and matches scans to the submap that is being filled
+//! (`slam3d.md` §3).
 
 use portolan_config::{
     CeresScanMatcher3dOptions, FastCorrelativeScanMatcher3dOptions, TrajectoryBuilder3dOptions,
@@ -14,7 +14,7 @@ use portolan_solver::SolverOptions;
 
 use crate::Submap3d;
 
-/// Correlative search around the prediction, if asked for, then descent along the gradient.
+/// Correlative search around the prediction, if the options enable it, then descent along the gradient.
 pub struct ScanMatcher3d {
     correlative: Option<RealTimeCorrelativeMatcher3d>,
     gradient: GradientMatcher3d,
@@ -39,8 +39,8 @@ impl ScanMatcher3d {
         Ok(Self { correlative, gradient })
     }
 
-    /// The pose of the scan in the local map, and what the descent said of it. Without a submap the
-    /// prediction is all there is.
+    /// The pose of the scan in the local map, and the result of the descent. Without a submap the result is
+    /// the prediction.
     pub fn match_scan(
         &self,
         prediction: &Rigid3,

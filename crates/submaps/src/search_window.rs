@@ -1,4 +1,4 @@
-//! How far a scan is searched around a guess.
+//! Search window around a guess.
 
 use portolan_recall::{Answer, Sink, Words};
 

@@ -23,8 +23,8 @@ pub enum Inserter2d {
 }
 
 impl Inserter2d {
-    /// As the options of the grid and of its inserter say. `join_surfaces`: grids of probabilities show what lies between
-    /// neighbouring returns of one surface, too.
+    /// As the options of the grid and of its inserter say. `join_surfaces`: in grids of probabilities the
+    /// surface between neighbouring returns is inserted, too.
     ///
     /// # Errors
     /// If a probability, length or weight is outside of its range.
@@ -84,7 +84,8 @@ impl Inserter2d {
         }
     }
 
-    /// Inserts a scan whose beams stand for sectors, `beam_spacing` radians wide. Signed distances know rays alone.
+    /// Inserts a scan whose beams represent sectors, `beam_spacing` radians wide. Grids of signed distances
+    /// support rays only.
     fn insert_sectors(
         &self,
         scan: &RangeData,
@@ -100,7 +101,7 @@ impl Inserter2d {
     }
 }
 
-/// A grid with its place in the local map. Its cells lie in the axes of the local map: the pose is a
+/// A grid with its pose in the local map. Its cells are aligned with the axes of the local map: the pose is a
 /// mere translation, to the origin of the first scan.
 #[derive(Clone, Debug)]
 pub struct Submap2d {
@@ -138,7 +139,7 @@ impl Submap2d {
         })
     }
 
-    /// A submap as a file has it.
+    /// A submap from a file.
     pub fn from_parts(local_from_submap: Rigid3, num_range_data: u32, finished: bool, grid: Grid2d) -> Self {
         Self {
             local_from_submap,
@@ -150,8 +151,8 @@ impl Submap2d {
         }
     }
 
-    /// The submap drawn again from scans in the local map, each with the spacing of its beams in radians; none if it came
-    /// from a file, or the grid would become too large.
+    /// The submap made again from scans in the local map, each with the spacing of its beams in radians; none
+    /// if it came from a file, or the grid would become too large.
     pub fn drawn_from(&self, scans: Vec<(RangeData, f32)>) -> Option<Self> {
         let inserter = self.inserter.as_ref()?;
         let origin = to_f32(&self.local_from_submap).translation.vector;
@@ -202,7 +203,7 @@ mod tests {
     use portolan_geometry::Rigid3f;
     use portolan_sensor::PointCloud;
 
-    /// What a scanner sees at x in a room of 4 m by 2 m.
+    /// Scan at x in a room of 4 m by 2 m.
     fn scan(x: f32) -> RangeData {
         let ray = |i: u16| {
             let (sin, cos) = f32::from(i).to_radians().sin_cos();

@@ -1,4 +1,4 @@
-//! Submaps in 3D: a fine and a coarse grid, directions of walls (`slam3d.md` §5).
+//! Submaps in 3D: a fine and a coarse grid, and a histogram of wall directions (`slam3d.md` §5).
 
 use std::borrow::BorrowMut;
 use std::sync::Arc;
@@ -54,13 +54,14 @@ impl Inserter3d {
         })
     }
 
-    /// Grids that grow are drawn when they are needed: nobody looks at them while sweeps are registered to planes.
+    /// Delays inserting into growing grids until they are needed: nothing reads them while sweeps are
+    /// registered to planes.
     #[must_use]
     pub fn drawing_late(self) -> Self {
         Self { draws_late: true, ..self }
     }
 
-    /// Draws scans, given in the frame of a submap, into its fine and its coarse grid.
+    /// Inserts scans, given in the frame of a submap, into its fine and its coarse grid.
     fn draw<G: BorrowMut<HybridGrid> + Send>(&self, scans: &[RangeData], grids: &mut [G; 2]) {
         let points = scans.iter().map(|scan| scan.returns.len()).sum();
         let [high, low] = grids;
@@ -88,21 +89,21 @@ pub struct Scan3d {
 pub struct MadePlanes {
     /// In the frame of the submap.
     pub planes: PlaneMap,
-    /// What they explain of scans, where there are scans enough to tell.
+    /// Fractions of scans that they explain, where there are enough scans to determine them.
     pub explained: Option<ExplainedByPlanes>,
 }
 
-/// Medians of the fraction of the points of scans that lie on planes.
+/// Medians of the fraction of the points of scans that are on planes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExplainedByPlanes {
-    /// Of scans that gave no points to the planes, where they were taken.
+    /// Of scans that are not part of the planes, at their poses.
     pub where_taken: f32,
     /// Of scans at wrong places.
     pub by_chance: f32,
 }
 
-/// Grids in 3D with their place in the local map. The frame of a submap is level; its origin is where
-/// its first scan was taken.
+/// Grids in 3D with their pose in the local map. The frame of a submap is level; its origin is the position
+/// of its first scan.
 #[derive(Clone, Debug)]
 pub struct Submap3d {
     /// Pose in the local map.
@@ -111,7 +112,7 @@ pub struct Submap3d {
     pub num_range_data: u32,
     /// Whether no scan will be inserted any more.
     pub insertion_finished: bool,
-    /// Fine cells near the places of the scans.
+    /// Fine cells near the positions of the scans.
     pub high_resolution_grid: HybridGrid,
     /// Coarse cells of everything seen.
     pub low_resolution_grid: HybridGrid,
@@ -121,23 +122,24 @@ pub struct Submap3d {
     pub rotational_histogram: Vec<f32>,
     /// Planes of a complete submap, if sweeps are registered to planes.
     pub planes: Option<PlaneMap>,
-    /// Planes made again of what a file keeps, where it keeps none that sweeps were registered to.
+    /// Planes made of the contents of a file, if it does not keep the planes that sweeps were registered to.
     pub made_planes: Option<MadePlanes>,
-    /// Scans that could not be inserted because they lay too far from the origin of the submap.
+    /// Scans that could not be inserted because they were too far from the origin of the submap.
     pub refused_scans: u32,
     inserter: Option<Arc<Inserter3d>>,
-    /// Scans that grids nobody looks at yet do not know so far, in the frame of the submap: drawn at once they take
-    /// less time, because each place in memory is then visited once.
+    /// Scans that are not in the grids yet, in the frame of the submap. Inserting many at once takes less
+    /// time, because each place in memory is then visited once.
     waiting: Vec<RangeData>,
-    /// The fine and the coarse grid while another thread draws into them; empty ones are in their place.
+    /// The fine and the coarse grid while another thread inserts into them; empty ones are in their place.
     drawing: Option<Later<[HybridGrid; 2]>>,
 }
 
-/// So many points are drawn at once: more would wait in memory.
+/// Maximum number of points that wait in memory; then they are inserted at once.
 const MOST_WAITING_POINTS: usize = 120_000;
 
 impl Submap3d {
-    /// The planes that scans are registered to: those that sweeps were registered to, or else those made of what a file keeps.
+    /// The planes that scans are registered to: those that sweeps were registered to, or else those made of
+    /// the contents of a file.
     pub fn planes_to_match(&self) -> Option<&PlaneMap> {
         self.planes.as_ref().or(self.made_planes.as_ref().map(|made| &made.planes))
     }
@@ -171,8 +173,8 @@ impl Submap3d {
         })
     }
 
-    /// Draws a scan, given in the frame of the submap, into the grids; or keeps it until they are needed, or another thread
-    /// has time. False if that is impossible.
+    /// Inserts a scan, given in the frame of the submap, into the grids; or keeps it until they are needed,
+    /// or another thread has time. False if that is impossible.
     fn insert_into_grids(&mut self, scan: RangeData, inserter: &Arc<Inserter3d>) -> bool {
         let grids = [&self.high_resolution_grid, &self.low_resolution_grid];
         if grids.iter().any(|grid| grid.cell_index(&scan.origin).is_none()) {
@@ -191,7 +193,7 @@ impl Submap3d {
         true
     }
 
-    /// Lets another thread draw the scans that wait into the grids.
+    /// Lets another thread insert the waiting scans into the grids.
     fn draw_grids_beside(&mut self, inserter: &Arc<Inserter3d>) {
         let (scans, inserter) = (std::mem::take(&mut self.waiting), Arc::clone(inserter));
         let grids = || {
@@ -201,7 +203,7 @@ impl Submap3d {
         self.drawing.get_or_insert_with(grids).change(move |grids| inserter.draw(&scans, grids));
     }
 
-    /// Draws the scans that wait into the grids.
+    /// Inserts the waiting scans into the grids.
     pub fn draw_grids(&mut self) {
         let mut grids = [&mut self.high_resolution_grid, &mut self.low_resolution_grid];
         if let Some(drawing) = self.drawing.take() {
@@ -215,7 +217,7 @@ impl Submap3d {
         }
     }
 
-    /// A submap as a file has it.
+    /// A submap from a file.
     pub fn from_parts(
         local_from_submap: Rigid3,
         num_range_data: u32,
@@ -311,7 +313,7 @@ mod tests {
         assert!(!submap.high_resolution_grid.is_known([-90, 0, 0]), "too far");
         assert!(submap.low_resolution_grid.probability([-20, 0, 0]) > 0.55);
         assert_eq!(submap.intensity_grid.as_ref().unwrap().intensity([30, 0, 0]), 7.0);
-        // Turned by a quarter of a turn back: two of four buckets over half a turn.
+        // Rotated back by a quarter of a turn: two of four buckets over half a turn.
         let expected = [6.0, 8.0, 2.0, 4.0];
         assert!(submap.rotational_histogram.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-4));
         let before = submap.high_resolution_grid.clone();

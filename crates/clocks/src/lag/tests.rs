@@ -3,7 +3,7 @@ use super::*;
 use portolan_geometry::quaternion_from_angle_axis;
 use portolan_sensor::ImuData;
 
-/// Steps, and a rest of half of the time.
+/// Steps, and rest for half of the time.
 fn rate(t: f64) -> Vector3 {
     if (12.0..32.0).contains(&t) {
         return Vector3::zeros();
@@ -20,7 +20,7 @@ fn gyroscope(late: f64) -> Gyroscope {
     gyroscope_that(late, |rate| rate)
 }
 
-/// The same where it measures something else of each rate.
+/// The same with other axes or units: `measured` changes each rate.
 fn gyroscope_that(late: f64, measured: impl Fn(Vector3) -> Vector3) -> Gyroscope {
     let mut gyroscope = Gyroscope::default();
     let mounting = quaternion_from_angle_axis(&Vector3::new(0.01, -0.01, 0.015));
@@ -110,11 +110,11 @@ fn other_axes_signs_and_units_are_told_from_those_that_were_said() {
     assert_eq!(found(0.2, &|rate| 0.7 * rate), None);
     let (turned, factor) = found(0.1, &|rate| -rate).unwrap();
     assert!(turned == 0.0 && (factor + 1.0).abs() < 0.05, "{turned} {factor}");
-    // Turns so large do not add up as vectors.
+    // Rotations this large do not add up as vectors.
     let (turned, factor) = found(0.0, &|rate| 57.3 * rate).unwrap();
     assert!(turned < 0.3 && (factor / 57.3 - 1.0).abs() < 0.05, "{turned} {factor}");
     let (turned, factor) = found(-0.1, &|rate| Vector3::new(-rate.y, rate.x, rate.z)).unwrap();
     assert!((turned.to_degrees() - 90.0).abs() < 5.0 && (factor - 1.0).abs() < 0.05, "{turned} {factor}");
-    // Something else that turns.
+    // Another object that rotates.
     assert_eq!(found(0.0, &|rate| Vector3::new(0.3 * (90.0 * rate.x).sin(), rate.x * rate.y, 0.1)), None);
 }

@@ -1,13 +1,13 @@
 use super::*;
 use portolan_sensor::ImuData;
 
-/// Steps that sway and nod, in a hall that is left slowly.
+/// Swaying and nodding steps in a hall that the carrier slowly leaves.
 fn truth(t: f64) -> Rigid3 {
     let turn = Vector3::new(0.02 * (4.4 * t).sin(), 0.015 * (8.8 * t).cos(), 0.3 * (0.5 * t).sin());
     Rigid3::new(Vector3::new(0.5 * t, 0.02 * (4.4 * t).cos(), 0.02 * (8.8 * t).sin()), turn)
 }
 
-/// What 16 beams of a revolution of the head that ends at `end` hit: walls, floor and ceiling.
+/// Hits of 16 beams in a revolution of the head that ends at `end`: walls, floor and ceiling.
 fn sweep(end: f64) -> Sweep {
     let (low, high) = (Vector3::new(-6.0, -4.0, -1.2), Vector3::new(9.0, 5.0, 3.0));
     let mut points = Vec::new();
@@ -54,7 +54,7 @@ fn turns_of_sweeps_are_true_though_the_clock_of_the_gyroscope_is_not() {
     errors.sort_by(f64::total_cmp);
     let median = errors[errors.len() / 2];
     assert!(median < 0.0015, "{median} {errors:?}");
-    // A gap in time is another local frame.
+    // A new local frame begins after a gap in time.
     let before = tracked[0].segment;
     assert!(tracker.add(&sweep(6.0), &gyroscope).is_none());
     let after = (61..75).find_map(|i| tracker.add(&sweep(0.1 * f64::from(i)), &gyroscope)).unwrap();

@@ -1,4 +1,4 @@
-//! What [`super::check`] says itself, with its effect and what to do.
+//! Kinds of findings that [`super::check`] reports itself, with their effects and remedies.
 
 use portolan_issue::Severity;
 

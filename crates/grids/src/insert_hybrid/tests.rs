@@ -114,7 +114,7 @@ fn many_scans_at_once_are_drawn_as_one_after_the_other() {
     assert_eq!(at_once.num_cells(), at_once.compacted().num_cells());
 }
 
-/// The hall seen by as many scans as make a submap, each with what a voxel filter leaves.
+/// Scans of the hall, as many as make a submap, each thinned by a voxel filter.
 #[test]
 fn grids_take_no_more_memory_than_their_files() {
     let inserter = HybridInserter::new(&HybridInserterOptions::default()).unwrap();

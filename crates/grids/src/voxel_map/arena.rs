@@ -1,4 +1,4 @@
-//! Short lists of values, packed one after the other.
+//! Stores short lists of values, packed one after the other.
 
 /// Sizes of lists that are handed out.
 const CAPACITIES: [u8; 10] = [2, 4, 6, 8, 12, 16, 24, 32, 48, 64];
@@ -41,7 +41,7 @@ impl<T: Copy + Default> Arena<T> {
         Self { values: Vec::with_capacity(num_values), free: Default::default() }
     }
 
-    /// How many values a list of `count` takes room for.
+    /// Capacity of a list of `count` values.
     pub fn capacity_for(count: usize) -> usize {
         usize::from(CAPACITIES[usize::from(CLASS_OF_COUNT[count])])
     }
@@ -59,7 +59,7 @@ impl<T: Copy + Default> Arena<T> {
         Some(start)
     }
 
-    /// Puts `value` at position `rank` of a list of `count` values. Where the list starts afterwards.
+    /// Puts `value` at position `rank` of a list of `count` values. Returns the start of the list afterwards.
     pub fn insert(&mut self, start: u32, count: usize, rank: usize, value: T) -> Option<u32> {
         let (old_class, new_class) = (CLASS_OF_COUNT[count], CLASS_OF_COUNT[count + 1]);
         let mut place = start;

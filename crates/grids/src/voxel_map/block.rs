@@ -1,19 +1,19 @@
-//! Blocks of 4×4×4 cells: which one a cell is in, and its cells while they are changed.
+//! Blocks of 4×4×4 cells: keys of blocks, and their cells while they are changed.
 
 use super::{VoxelIndex, bit_of, is_possible, key_of};
 
 /// Cells in a block.
 pub(super) const BLOCK_CELLS: usize = 64;
 
-/// Which block of cells.
+/// Key of a block of cells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct BlockKey(pub(super) u64);
 
 impl BlockKey {
-    /// So many bits has the number of a block.
+    /// Number of bits of the number of a block.
     pub const BITS: u32 = 36;
 
-    /// The block with a cell and the cell's place in it, less than 64; none for cells that cannot be.
+    /// The block with a cell and the cell's position in it, less than 64; none for impossible cells.
     #[inline]
     pub fn of(cell: VoxelIndex) -> Option<(Self, u32)> {
         is_possible(cell).then(|| (Self(key_of(cell)), bit_of(cell).trailing_zeros()))

@@ -1,4 +1,4 @@
-//! What each kind of message becomes.
+//! Converts each kind of message to measurements.
 
 use std::sync::Arc;
 
@@ -46,7 +46,8 @@ impl Ingestion {
         }
     }
 
-    /// Takes messages of a sensor whose stamps are made even, as far as their times are known when the recording has come so far.
+    /// Processes messages of a sensor whose stamps are made even, if their times are determined at this time
+    /// of recording.
     pub(super) fn take_evened(&mut self, sensor: &mut Sensor, now: Time) {
         while let Some((message, stamp, time)) = sensor.even_stamps.pop(now) {
             self.count(&sensor.topic, time, IssueKind::StampsEvened, 1);
@@ -126,7 +127,8 @@ impl Ingestion {
         }
     }
 
-    /// Whether a scan without a single return is of use: odometry tells where the only planar scanner was then.
+    /// Whether scans without returns are kept: with a single planar scanner, odometry determines the pose at
+    /// their time.
     fn tells_poses_of_blind_scans(&self) -> bool {
         let SensorPlan { dimension, range, odometry, .. } = &self.plan;
         *dimension == Dimension::TwoD && range.len() == 1 && self.subdivisions == 1 && odometry.is_some()

@@ -1,4 +1,4 @@
-//! Sensors and samplers as planned.
+//! Sets up sensors and samplers as planned.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -33,7 +33,7 @@ impl Samplers {
         })
     }
 
-    /// That of sensors which are used for this.
+    /// Sampler for sensors with this role.
     pub(super) fn of(&mut self, role: &Role) -> &mut FixedRatioSampler {
         match role {
             Role::Range { .. } => &mut self.range,
@@ -45,7 +45,7 @@ impl Samplers {
     }
 }
 
-/// Stamps of sweeps are looked at where points count from them, and nobody says that they are right.
+/// Stamps of sweeps are checked where points count from them, unless the user says that the stamps are right.
 fn sweep_stamps(range: &PlannedRange, policy: StampPolicy) -> Option<SweepStamps> {
     let rate = range.statistics.rate;
     let counts_from_stamp = range.point_time.is_some_and(|t| t.origin != PointTimeOrigin::Epoch);
@@ -53,7 +53,7 @@ fn sweep_stamps(range: &PlannedRange, policy: StampPolicy) -> Option<SweepStamps
     (policy != StampPolicy::AsIs && counts_from_stamp && is_steady).then(|| SweepStamps::new(1.0 / rate))
 }
 
-/// The topics whose first stamps are looked at: those of laser scanners, and of odometry beside them.
+/// Topics whose first stamps are checked: those of laser scanners, and of odometry used with them.
 pub(super) fn topics_of_scans(inventory: &Inventory, plan: &SensorPlan) -> Vec<Arc<str>> {
     let is_scan = |topic: &Arc<str>| {
         let survey = inventory.topics.iter().find(|survey| survey.info.topic == *topic);
@@ -67,8 +67,8 @@ pub(super) fn topics_of_scans(inventory: &Inventory, plan: &SensorPlan) -> Vec<A
     topics
 }
 
-/// The sensors of each topic. One topic may serve twice, for example as a pose and as odometry.
-/// `in_doubt`: seconds between the messages of topics whose stamps are not believed from the beginning.
+/// The sensors of each topic. One topic may serve twice, for example as a pose and as odometry. `in_doubt`:
+/// seconds between the messages of topics whose stamps are not trusted from the beginning.
 pub(super) fn sensors(
     plan: &SensorPlan,
     stamps: StampPolicy,

@@ -1,11 +1,11 @@
-//! By what the beams of a lidar are raised.
+//! Chooses the angle by which the beams of a lidar are raised.
 
 use super::{Chosen, SensorPlan};
 use crate::beam_elevation::{BeamElevation, ElevationOffset};
 use crate::options::IngestOptions;
 
-/// What is added to the elevations of the beams of a sensor, radians. With a configuration of Cartographer clouds are
-/// taken as they are.
+/// Angle that is added to the elevations of the beams of a sensor, radians. With a configuration of
+/// Cartographer, clouds are used unchanged.
 pub(super) fn beam_elevation(
     chosen: &Chosen,
     is_cloud: bool,

@@ -1,4 +1,4 @@
-//! Clocks of sensors that disagree.
+//! Corrects the clocks of sensors that disagree.
 
 use std::sync::Arc;
 
@@ -17,8 +17,8 @@ fn sources(plan: &mut SensorPlan) -> Vec<&mut PlannedSensor> {
     sources
 }
 
-/// Puts all sensors on the clock of the first range sensor where theirs is off by more than 10 s, as
-/// the times of recording tell.
+/// Converts the stamps of all sensors to the clock of the first range sensor where the times of recording
+/// show theirs to be off by more than 10 s.
 pub(super) fn join(plan: &mut SensorPlan) {
     const OTHER_CLOCK_SECONDS: f64 = 10.0;
     let Some(reference) = plan.range.first().and_then(|r| r.source.usual_lag) else { return };
@@ -42,7 +42,7 @@ pub(super) fn join(plan: &mut SensorPlan) {
     plan.notices.extend(notices);
 }
 
-/// Adds to stamps what somebody knows their clocks to be off by.
+/// Adds the time offsets given by the user to the stamps.
 ///
 /// # Errors
 /// No sensor is read from such a topic.

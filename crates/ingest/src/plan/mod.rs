@@ -1,7 +1,7 @@
-//! Which topic is which sensor, and whose motion is wanted.
+//! Assigns topics to sensors and chooses the frame whose motion is estimated.
 //!
-//! Everything is chosen by rules from the first look at the recording, unless it is told. Where there
-//! was a choice, a [`Notice`] says what was chosen and how to choose otherwise.
+//! Rules choose everything from the first look at the recording, unless the user specifies it. Where there
+//! was a choice, a [`Notice`] reports the choice and how to change it.
 
 mod beam_elevation;
 mod clocks;
@@ -28,37 +28,37 @@ use crate::survey::{Inventory, TopicSurvey};
 use request::Request;
 pub use robot::upright_frame;
 
-/// Something that was chosen and may be chosen otherwise.
+/// A choice that was made and may be changed.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Notice {
-    /// What was chosen and why.
+    /// The choice and its reason.
     pub what: String,
-    /// How to choose otherwise; empty if there is nothing to choose.
+    /// How to change it; empty if there is no alternative.
     pub change: String,
-    /// A warning where something that was recorded cannot be used, or the robot's frame is not known.
+    /// A warning where recorded data cannot be used, or the robot's frame is not known.
     pub severity: Severity,
 }
 
-/// Why no plan could be made.
+/// Reasons why no plan could be made.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PlanError {
     /// The recording has no scans or clouds that can be used.
     #[error("there is nothing to map with: {detail}")]
     NoRangeSensor {
-        /// What there is, and what to do.
+        /// Topics of the recording, and what to do.
         detail: String,
     },
-    /// A topic that was asked for is not there.
+    /// A requested topic does not exist.
     #[error("{asked}: the recording has no topic \"{topic}\"; topics of that kind: {available}")]
     NoTopic {
-        /// Who asked for it.
+        /// The option or setting that requested it.
         asked: String,
         /// The topic.
         topic: String,
         /// Topics of the right type.
         available: String,
     },
-    /// A topic that was asked for is something else.
+    /// A requested topic has another type.
     #[error(
         "topic \"{topic}\" is of type {type_name}, but {wanted} is needed; topics of that kind: {available}"
     )]
@@ -67,21 +67,21 @@ pub enum PlanError {
         topic: String,
         /// Its type.
         type_name: String,
-        /// Types that would do.
+        /// Accepted types.
         wanted: String,
         /// Topics of the right type.
         available: String,
     },
-    /// A frame that was asked for is not there, or no transform leads to it.
+    /// A requested frame does not exist, or no transform leads to it.
     #[error("{detail}")]
     Frame {
         /// What is missing, and what to do.
         detail: String,
     },
-    /// An option makes no sense.
+    /// The value of an option is invalid.
     #[error("{detail}")]
     Option {
-        /// What is wrong.
+        /// The error.
         detail: String,
     },
 }
@@ -95,16 +95,16 @@ pub struct PlannedSensor {
     pub topic: Arc<str>,
     /// Frame of its first message.
     pub frame: Arc<str>,
-    /// Added to its stamps, where its clock is another one than that of the first range sensor.
+    /// Offset added to its stamps, where its clock differs from that of the first range sensor.
     pub clock_shift: Duration,
     /// Usual time of recording minus shifted stamp.
     pub usual_lag: Option<Duration>,
-    /// How its stamps jitter, where scans tell that they do.
+    /// Jitter of its stamps, if scans show it.
     pub jitter: Option<StampJitter>,
 }
 
 impl PlannedSensor {
-    /// Moves its stamps by what was measured of them, and says what was done and how to change it.
+    /// Shifts its stamps by a measured delay; returns what was done and how to change it.
     fn delay(&mut self, seconds: f64, sigma: f64) -> (String, String) {
         let delay = Duration::from_seconds(seconds);
         self.clock_shift = self.clock_shift + delay;
@@ -124,29 +124,30 @@ impl PlannedSensor {
 pub struct PlannedRange {
     /// Topic and so on.
     pub source: PlannedSensor,
-    /// What the times of points mean (point clouds only).
+    /// Meaning of the times of points (point clouds only).
     pub point_time: Option<PointTime>,
     /// Whether points without times get them from their azimuth; never [`AzimuthTimes::Auto`] nor
     /// [`AzimuthTimes::Recorded`].
     pub azimuth_times: AzimuthTimes,
-    /// Whether the motion in the points says that their times are wrong, but not clearly what is right, and nobody chose.
+    /// Whether the motion in the points contradicts their times, without showing clearly which times are
+    /// right, and the user did not choose.
     pub times_in_doubt: bool,
-    /// Seconds from the first beam of a scan to the last, less than zero if the last comes first; none: as the scan says
-    /// (laser scans only).
+    /// Seconds from the first beam of a scan to the last, negative if the last comes first; none: as in the
+    /// message (laser scans only).
     pub scan_duration: Option<f64>,
     /// Standard deviation of the readings, metres, if they are to be smoothed (laser scans only).
     pub range_noise: Option<f64>,
     /// Metres in one unit of the coordinates (point clouds only).
     pub length_unit: f32,
-    /// What is added to the elevations of all beams (point clouds only), radians.
+    /// Angle added to the elevations of all beams (point clouds only), radians.
     pub beam_elevation: f64,
-    /// How the lidar turns, where that is known and points get times from their azimuth.
+    /// Begin and direction of the turns, where known and where points get times from their azimuth.
     pub turn: Option<Turn>,
-    /// What it is like.
+    /// Properties of the sensor.
     pub statistics: RangeStatistics,
 }
 
-/// Where odometry comes from.
+/// Source of the odometry.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlannedOdometry {
     /// Topic and so on; its frame is the child frame.
@@ -164,7 +165,7 @@ impl PlannedOdometry {
         self.transforms_from.is_none().then_some(&self.source.topic)
     }
 
-    /// What it is called in messages for people.
+    /// Its name in messages for users.
     pub fn name(&self) -> String {
         match &self.transforms_from {
             None => self.source.topic.to_string(),
@@ -172,13 +173,13 @@ impl PlannedOdometry {
         }
     }
 
-    /// The option that asks for it; empty where there is none.
+    /// The option that requests it; empty where there is none.
     fn option(&self) -> String {
         self.topic().map_or_else(String::new, |topic| format!("--odom {topic}"))
     }
 }
 
-/// What brings the samples of an IMU to m/s² and rad/s.
+/// Factors that convert the samples of an IMU to m/s² and rad/s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImuScale {
     /// 9.80665 where accelerations are in g.
@@ -192,20 +193,20 @@ pub struct ImuScale {
 pub struct PlannedImu {
     /// Topic and so on.
     pub source: PlannedSensor,
-    /// What samples are multiplied by.
+    /// Factors that samples are multiplied by.
     pub scale: ImuScale,
-    /// Turns what it measures in the tracking frame, where it is mounted otherwise than the transforms say.
+    /// Rotates its measurements in the tracking frame, where its mounting differs from the transforms.
     pub correction: Quaternion,
-    /// What it is like.
+    /// Properties of the IMU.
     pub statistics: ImuStatistics,
 }
 
-/// Which topics are which sensors.
+/// Assignment of topics to sensors.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorPlan {
     /// In 2D or in 3D.
     pub dimension: Dimension,
-    /// The frame whose motion is wanted.
+    /// The frame whose motion is estimated.
     pub tracking_frame: String,
     /// At least one.
     pub range: Vec<PlannedRange>,
@@ -213,7 +214,8 @@ pub struct SensorPlan {
     pub odometry: Option<PlannedOdometry>,
     /// Interval between odometry messages, seconds.
     pub odometry_interval: Option<f64>,
-    /// For how many seconds at most odometry repeats a pose although the robot moves, where scans tell that it does.
+    /// Maximum time for which odometry repeats a pose although the robot moves, seconds, if scans show that
+    /// it does.
     pub longest_odometry_hold: Option<f64>,
     /// IMU, if used.
     pub imu: Option<PlannedImu>,
@@ -223,11 +225,11 @@ pub struct SensorPlan {
     pub fixed_frame_pose: Option<PlannedSensor>,
     /// Landmarks, if used.
     pub landmarks: Option<PlannedSensor>,
-    /// What was chosen.
+    /// Choices that were made.
     pub notices: Vec<Notice>,
 }
 
-/// What the defaults of mapping depend on.
+/// Properties of the sensors that the defaults of mapping depend on.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct SensorStatistics {
     /// In 2D or in 3D.
@@ -252,7 +254,7 @@ impl SensorPlan {
         sensors
     }
 
-    /// What the defaults of mapping depend on.
+    /// Properties of the sensors that the defaults of mapping depend on.
     pub fn statistics(&self) -> SensorStatistics {
         SensorStatistics {
             dimension: self.dimension,
@@ -266,21 +268,21 @@ impl SensorPlan {
         }
     }
 
-    /// Moves the stamps of odometry by what was measured of them against scans, and says so.
+    /// Shifts the stamps of odometry by their measured delay against scans, and adds a notice.
     pub fn delay_odometry(&mut self, seconds: f64, sigma: f64) {
         let Some(odometry) = &mut self.odometry else { return };
         let (what, change) = odometry.source.delay(seconds, sigma);
         self.note(what, change);
     }
 
-    /// Moves the stamps of the IMU by what was measured of them against clouds, and says so.
+    /// Shifts the stamps of the IMU by their measured delay against clouds, and adds a notice.
     pub fn delay_imu(&mut self, seconds: f64, sigma: f64) {
         let Some(imu) = &mut self.imu else { return };
         let (what, change) = imu.source.delay(seconds, sigma);
         self.note(what, change);
     }
 
-    /// Takes the stamps of sensors to jitter, as scans told, and says so.
+    /// Marks the stamps of these topics as jittering, as scans showed, and adds a notice.
     pub fn doubt_stamps(&mut self, topics: &[Arc<str>], jitter: &StampJitter) {
         let odometry = self.odometry.as_mut().map(|odometry| &mut odometry.source);
         let sources = self.range.iter_mut().map(|range| &mut range.source).chain(odometry);
@@ -296,8 +298,8 @@ impl SensorPlan {
         self.note(what, "--stamps as-is");
     }
 
-    /// Says that odometry repeats poses (`how`) while it moves, and leaves the repeats of so many seconds at most out unless it
-    /// `is_wanted` as it is.
+    /// Warns that odometry repeats poses (`how`) while it moves. Leaves out repeats of up to `longest_hold`
+    /// seconds, unless the user wants this odometry (`is_wanted`).
     pub fn doubt_repeats(&mut self, how: &str, longest_hold: f64, is_wanted: bool) {
         let Some(odometry) = &self.odometry else { return };
         let name = odometry.name();
@@ -309,7 +311,8 @@ impl SensorPlan {
         self.longest_odometry_hold = (!is_wanted).then_some(longest_hold);
     }
 
-    /// Gives the beams of a scanner times over so many seconds, as measured, and says so.
+    /// Spreads the times of the beams of a scanner over its measured scan duration, seconds, and adds a
+    /// notice.
     pub fn time_beams(&mut self, topic: &str, seconds: f64, sigma: f64) {
         let Some(range) = self.range.iter_mut().find(|range| &*range.source.topic == topic) else { return };
         range.scan_duration = Some(seconds);
@@ -322,7 +325,8 @@ impl SensorPlan {
         self.note(what, "--point-times recorded");
     }
 
-    /// Smooths the readings of a scanner with this standard deviation, metres, as measured, and says so; good ones stay as they are.
+    /// Smooths the readings of a scanner with this measured standard deviation, metres, and adds a notice.
+    /// Readings with little noise stay unchanged.
     pub fn smooth_ranges(&mut self, topic: &str, sigma: f64) {
         let Some(range) = self.range.iter_mut().find(|range| &*range.source.topic == topic) else { return };
         if BeamSmoothing::of(sigma).is_none() {
@@ -333,7 +337,8 @@ impl SensorPlan {
         self.note(what, "--range-noise 0");
     }
 
-    /// Turns what the IMU measures, in the tracking frame, since it `is_mounted` otherwise than the transforms say, and says so.
+    /// Rotates the measurements of the IMU in the tracking frame, since its mounting (`is_mounted`) differs
+    /// from the transforms, and adds a warning.
     pub fn turn_imu(&mut self, correction: Quaternion, is_mounted: &str) {
         let Some(imu) = &mut self.imu else { return };
         imu.correction = correction;
@@ -342,7 +347,7 @@ impl SensorPlan {
         self.warn(what, format!("--imu {topic}"));
     }
 
-    /// Takes angular velocities of the IMU to be in degrees per second, and says so.
+    /// Converts angular velocities of the IMU from degrees per second, and adds a notice.
     pub fn turn_in_degrees(&mut self) {
         let Some(imu) = &mut self.imu else { return };
         imu.scale.angular_velocity = 1_f64.to_radians();
@@ -355,7 +360,7 @@ impl SensorPlan {
         self.note(format!("{topic} {what}"), "");
     }
 
-    /// Says that an IMU does not turn as the lidar does (`how`), and whether it is used all the same.
+    /// Warns that an IMU does not rotate as the lidar does (`how`), and whether it is used nevertheless.
     pub fn doubt_imu(&mut self, topic: &str, how: &str, is_used: bool) {
         let (so, change) = match is_used {
             true => ("it is used all the same", "--no-imu".to_owned()),
@@ -364,7 +369,8 @@ impl SensorPlan {
         self.warn(format!("the IMU {topic} {how}: {so}"), change);
     }
 
-    /// Says that odometry does not move as scans do (`how`), and leaves it out unless it `is_wanted`.
+    /// Warns that odometry does not move as scans do (`how`), and drops it unless the user wants it
+    /// (`is_wanted`).
     pub fn doubt_odometry(&mut self, how: &str, is_mirrored: bool, is_wanted: bool) {
         let Some(odometry) = &self.odometry else { return };
         let name = odometry.name();
@@ -433,7 +439,8 @@ impl<'a> Chosen<'a> {
 /// Chooses sensors and the tracking frame.
 ///
 /// # Errors
-/// If there is nothing to map with, a topic that was asked for is missing or of another type, or transforms or options do not fit.
+/// If there is no range sensor, a requested topic is missing or of another type, or transforms or options do
+/// not fit.
 pub fn plan(inventory: &Inventory, options: &IngestOptions) -> Result<SensorPlan, PlanError> {
     let request = Request::new(inventory, options)?;
     let mut plan = SensorPlan {

@@ -1,4 +1,4 @@
-//! Choosing odometry: a topic, or moving transforms of an odometry frame.
+//! Chooses the odometry: a topic, or moving transforms of an odometry frame.
 
 use std::cmp::Reverse;
 
@@ -55,7 +55,8 @@ fn take(chosen: &Chosen, child: &str, plan: &mut SensorPlan) {
     plan.odometry_interval = chosen.survey.interval;
 }
 
-/// Of several topics `odom` by name, then the one that is named like the range sensor, then the one with most messages.
+/// Chooses among several topics: `odom` by name first, then the one named like the range sensor, then the one
+/// with most messages.
 fn find_topic(inventory: &Inventory, plan: &mut SensorPlan) -> bool {
     let mut candidates: Vec<Chosen> = inventory
         .topics
@@ -104,7 +105,7 @@ fn find_topic(inventory: &Inventory, plan: &mut SensorPlan) -> bool {
     plan.odometry.is_some()
 }
 
-/// A frame called something with `odom`, with a moving child that carries the tracking frame.
+/// Looks for a frame with `odom` in its name and a moving child to which the tracking frame is fixed.
 fn find_transforms(inventory: &Inventory, plan: &mut SensorPlan) {
     let moving = inventory.tree.moving_frames();
     let odometry = moving.iter().find(|(parent, child)| {

@@ -1,4 +1,4 @@
-//! Where the times of the points of clouds come from.
+//! Chooses the source of the times of points in clouds.
 
 use super::{Chosen, SensorPlan};
 use crate::azimuth_time::{AzimuthTimes, Turn};
@@ -6,10 +6,10 @@ use crate::point_time::{PointTime, PointTimeOrigin};
 use crate::skew::{Skew, SkewFactor, SkewState};
 use crate::statistics::RangeStatistics;
 
-/// Where the times of points come from; from nowhere: they are all of the stamp.
+/// Source of the times of points. Without a source all points have the time of the stamp.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PointTimes {
-    /// From the field that clouds have.
+    /// The time field of the clouds.
     pub recorded: Option<PointTime>,
     /// From the azimuth.
     pub by_azimuth: AzimuthTimes,
@@ -24,10 +24,10 @@ impl PointTimes {
     }
 }
 
-/// How to choose otherwise.
+/// Options that change the choice.
 const CHANGE: &str = "--point-times recorded, from-stamp, around-stamp, until-stamp or off";
 
-/// Chooses the times of points. Who asks for times by azimuth does not want those that were recorded.
+/// Chooses the times of points. If the user asks for times by azimuth, recorded times are not used.
 pub(super) fn times_of_points(
     chosen: &Chosen,
     is_cloud: bool,
@@ -53,7 +53,7 @@ pub(super) fn times_of_points(
     }
 }
 
-/// The times that points have, unless their motion was taken out.
+/// Recorded times, unless the clouds are de-skewed.
 fn recorded_or_none(
     chosen: &Chosen,
     statistics: &RangeStatistics,
@@ -105,7 +105,7 @@ fn recorded_or_none(
     }
 }
 
-/// Says that recorded times are wrong, and how points are taken.
+/// Warns that recorded times are wrong, and reports which times are used.
 fn warn_of_times(chosen: &Chosen, statistics: &RangeStatistics, how: &str, plan: &mut SensorPlan) {
     let doubt = if statistics.times_in_doubt { "what fits best, but not clearly, is that " } else { "" };
     let factors = statistics.skew.map_or_else(String::new, told);
@@ -118,8 +118,8 @@ fn warn_of_times(chosen: &Chosen, statistics: &RangeStatistics, how: &str, plan:
     );
 }
 
-/// Times by azimuth for the points of a spinning lidar whose recorded ones are of other points. Where in the turn stamps are is still
-/// known by these.
+/// Times by azimuth for the points of a spinning lidar whose recorded times belong to other points. The
+/// position of the stamp within the turn still follows from the recorded times.
 fn by_azimuth_instead(
     chosen: &Chosen,
     statistics: &RangeStatistics,
@@ -140,7 +140,7 @@ fn by_azimuth_instead(
     PointTimes { by_azimuth, turn: Some(turn), ..PointTimes::OF_STAMP }
 }
 
-/// The way that a lidar turns whose clouds come each `interval` seconds.
+/// Describes the turns of a lidar whose clouds come every `interval` seconds.
 fn how_it_turns(turn: Turn, interval: f64) -> String {
     let way = if turn.is_clockwise { "clockwise" } else { "counter-clockwise" };
     let seconds = turn.in_intervals * interval;
@@ -151,7 +151,7 @@ fn how_it_turns(turn: Turn, interval: f64) -> String {
     format!(", go {way} from azimuth {:.0}°{missing}", turn.begin_radians.to_degrees())
 }
 
-/// Times by azimuth for the points of a spinning lidar that have none, unless their motion was taken out.
+/// Times by azimuth for the points of a spinning lidar that have none, unless the clouds are de-skewed.
 fn by_azimuth_or_none(
     chosen: &Chosen,
     statistics: &RangeStatistics,
@@ -159,7 +159,7 @@ fn by_azimuth_or_none(
     plan: &mut SensorPlan,
 ) -> PointTimes {
     let topic = chosen.topic();
-    // A field of times that are all alike says that the points are of one moment, as long as sweeps do not say otherwise.
+    // A field of equal times means that the points are of one instant, unless sweeps show otherwise.
     if chosen.survey.has_time_field && turn.is_none() {
         return PointTimes::OF_STAMP;
     }
@@ -179,8 +179,9 @@ fn by_azimuth_or_none(
         );
         return PointTimes::OF_STAMP;
     }
-    // Points that stand beam by beam may begin anywhere in the turn, and times counted from there distort more than none. Nothing is
-    // known of a lidar that only stood: it gets times from the first point on, which is right for most drivers.
+    // Points in order of beams may begin anywhere in the turn, and times counted from there distort more than
+    // equal times. For a lidar that only stood still the skew is unknown: it gets times from the first point
+    // on, which is right for most drivers.
     if turn.is_none() && !statistics.only_stood && !statistics.is_in_firing_order {
         plan.note(
             format!(

@@ -1,4 +1,4 @@
-//! Choosing range sensors, and whether to map in 2D or in 3D.
+//! Chooses the range sensors, and whether to map in 2D or in 3D.
 
 use std::cmp::Ordering;
 
@@ -16,14 +16,14 @@ use crate::range_noise::RangeNoise;
 use crate::survey::{Inventory, TopicSurvey, is_range};
 use crate::tf::is_fixed_frame;
 
-/// A scanner in 2D may lean this much.
+/// Maximum tilt of a 2D scanner, degrees.
 const MAX_TILT_DEGREES: f64 = 20.0;
-/// A cloud with at least this vertical field of view is of a 3D lidar …
+/// Minimum vertical field of view of a 3D lidar, degrees.
 const MIN_VERTICAL_DEGREES: f64 = 5.0;
-/// … and one with at least this horizontal field of view is from a lidar rather than a depth camera.
+/// Minimum horizontal field of view of a 3D lidar, degrees; a depth camera has less.
 const MIN_HORIZONTAL_DEGREES: f64 = 150.0;
 
-/// The range sensors: those asked for, or all that fit together. Sets the dimension.
+/// Chooses the range sensors: those requested, or all that can be used together. Sets the dimension.
 pub(super) fn choose<'a>(
     inventory: &'a Inventory,
     options: &IngestOptions,
@@ -75,12 +75,12 @@ fn is_cloud(chosen: &Chosen) -> bool {
     &*chosen.survey.info.type_name == "sensor_msgs/PointCloud2"
 }
 
-/// The option that asks for it.
+/// The option that requests it.
 fn flag(chosen: &Chosen) -> &'static str {
     if is_cloud(chosen) { "--points" } else { "--scan" }
 }
 
-/// Leaves out clouds in frames that no sensor has: results of mapping.
+/// Leaves out clouds in frames that belong to no sensor: results of mapping.
 fn without_results<'a>(
     candidates: Vec<&'a TopicSurvey>,
     options: &IngestOptions,
@@ -104,8 +104,9 @@ fn without_results<'a>(
     sensors.into_iter().map(Chosen::named_after_topic).collect()
 }
 
-/// The order of topics that hold the same scans processed in several ways, the best first: clouds with times of points before others, then
-/// those with more points in all, then the topic with more messages, the shorter name, the first by name.
+/// Order of topics that hold the same scans processed in several ways, the best first: clouds with times of
+/// points before others, then those with more points in all, then the topic with more messages, the shorter
+/// name, the first by name.
 fn by_rawness(a: &Chosen, b: &Chosen) -> Ordering {
     let count = |c: &Chosen| c.survey.info.count.unwrap_or(c.survey.seen);
     let points = |c: &Chosen| {
@@ -121,7 +122,7 @@ fn by_rawness(a: &Chosen, b: &Chosen) -> Ordering {
         .then_with(|| a.topic().cmp(b.topic()))
 }
 
-/// Of several topics of one frame, which are the same scans processed in several ways, the rawest.
+/// Keeps the rawest of several topics of one frame, which are the same scans processed in several ways.
 fn one_per_frame<'a>(sensors: Vec<Chosen<'a>>, plan: &mut SensorPlan) -> Vec<Chosen<'a>> {
     let better = |a: &Chosen, b: &Chosen| by_rawness(a, b).is_lt();
     let mut kept: Vec<Chosen> = Vec::new();
@@ -176,7 +177,7 @@ fn choose_dimension<'a>(
         plan.dimension = options.dimension.unwrap_or_else(|| dimension_of(&only));
         return Ok(only);
     }
-    // A lidar that looks around beats a scanner in 2D; a depth camera does not.
+    // A lidar with a wide field of view is preferred to a 2D scanner; a depth camera is not.
     let in_3d = clouds.iter().any(looks_around);
     plan.dimension = options.dimension.unwrap_or(if in_3d { Dimension::ThreeD } else { Dimension::TwoD });
     let (used, unused, flag) = match plan.dimension {
@@ -190,7 +191,7 @@ fn choose_dimension<'a>(
     Ok(used)
 }
 
-/// Leaves out scanners whose plane leans against that of the robot, unless nothing else is left.
+/// Leaves out scanners whose plane is tilted against that of the robot, unless there are no others.
 fn without_leaning<'a>(
     scans: Vec<Chosen<'a>>,
     keep_one: bool,
@@ -199,7 +200,7 @@ fn without_leaning<'a>(
 ) -> Vec<Chosen<'a>> {
     let leaning = |c: &Chosen| {
         let base = upright_frame(&inventory.tree, c.frame(), [], Dimension::TwoD)?;
-        // Upside down is fine. One that is tilted to and fro counts as it leans most.
+        // Upside down is fine. For one that is tilted to and fro the largest tilt counts.
         let poses = inventory.tree.lookup_often(base, c.frame());
         let upright = poses.iter().map(|pose| (pose.rotation * Vector3::z()).z.abs()).reduce(f64::min)?;
         (upright < MAX_TILT_DEGREES.to_radians().cos()).then_some(upright.acos().to_degrees())
@@ -272,7 +273,7 @@ fn frame_of(chosen: &Chosen, plan: &mut SensorPlan) -> String {
     frame
 }
 
-/// Whether a sensor in this frame is used: one that was asked for is, however it is connected.
+/// Whether a sensor in this frame is used. A requested one is used even if it is on another robot.
 fn is_used(
     inventory: &Inventory,
     request: &Request,

@@ -1,4 +1,4 @@
-//! What the user, the configuration and remappings ask for, as topics that are there.
+//! Resolves what the user, the configuration and remappings ask for to existing topics.
 
 use portolan_issue::Severity;
 
@@ -6,10 +6,10 @@ use super::{Chosen, Notice, PlanError};
 use crate::options::{ConfiguredSensors, IngestOptions};
 use crate::survey::{Inventory, TopicSurvey, is_range};
 
-/// Sensors that were asked for by name, and what is not wanted.
+/// Sensors that were requested by name, and those that are not wanted.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Request<'a> {
-    /// Empty: to be found out.
+    /// Empty: to be chosen.
     pub range: Vec<Chosen<'a>>,
     pub odometry: Option<Chosen<'a>>,
     pub imu: Option<Chosen<'a>>,
@@ -25,7 +25,7 @@ pub(super) struct Request<'a> {
 /// A kind of sensor in requests.
 #[derive(Clone, Copy)]
 struct Kind {
-    /// What to call it.
+    /// Its name in messages.
     name: &'static str,
     /// Name in configurations.
     default_name: &'static str,
@@ -51,7 +51,7 @@ const FIXED_POSE: Kind =
     Kind { name: "fixed-frame pose", default_name: "", types: &["geometry_msgs/PoseStamped"] };
 
 impl<'a> Request<'a> {
-    /// Finds the topics that were asked for; asking for one that is not there is an error.
+    /// Finds the requested topics; a requested topic that does not exist is an error.
     pub fn new(inventory: &'a Inventory, options: &IngestOptions) -> Result<Self, PlanError> {
         let mut finder = Finder { inventory, options, notices: Vec::new() };
         let mut request = Self::default();
@@ -75,7 +75,7 @@ impl<'a> Request<'a> {
         let use_odometry = used(options.use_odometry, configured.and_then(|c| c.use_odometry));
         let use_imu = used(options.use_imu, configured.and_then(|c| c.use_imu));
         let use_landmarks = used(options.use_landmarks, configured.and_then(|c| c.use_landmarks));
-        // Fixes are metres off, so that nobody gets them without asking.
+        // Fixes have errors of metres, so they are used only on request.
         let use_nav_sat = options.nav_sat_topic.is_some()
             || options.use_nav_sat.or(configured.and_then(|c| c.use_nav_sat)).unwrap_or(false);
         let wanted = |wish: Option<bool>, configured: Option<bool>| wish.or(configured).unwrap_or(false);
@@ -120,7 +120,7 @@ impl<'a> Finder<'a, '_> {
         if names.is_empty() { "none".to_owned() } else { names.join(", ") }
     }
 
-    /// The topic, which must be there and of the kind.
+    /// The topic, which must exist and be of the kind.
     fn required(&self, kind: Kind, topic: &str) -> Result<&'a TopicSurvey, PlanError> {
         let inventory: &'a Inventory = self.inventory;
         let Some(survey) = inventory.topic(topic) else {
@@ -146,7 +146,7 @@ impl<'a> Finder<'a, '_> {
         self.options.remappings.iter().find(|(from, _)| plain(from) == plain(name)).map(|(_, to)| to.as_str())
     }
 
-    /// A sensor of which there is one at most: by its topic, by a remapping of its name, or, if needed,
+    /// Finds a sensor of which there is one at most: by its topic, by a remapping of its name, or, if needed,
     /// by its name or as the only topic of its type.
     fn single(
         &mut self,
@@ -182,7 +182,7 @@ impl<'a> Finder<'a, '_> {
         }
     }
 
-    /// `scan`, `scan_1`, … as the configuration counts them.
+    /// The topics `scan`, `scan_1`, …, numbered as in the configuration.
     fn configured_range(&mut self, configured: &ConfiguredSensors) -> Result<Vec<Chosen<'a>>, PlanError> {
         let counts = [
             (SCAN, configured.num_laser_scans),
@@ -194,7 +194,7 @@ impl<'a> Finder<'a, '_> {
             let names: Vec<String> = match count {
                 0 => Vec::new(),
                 1 => vec![kind.default_name.to_owned()],
-                // More scanners than topics cannot be found anyway.
+                // Names beyond the number of topics cannot be found anyway.
                 n => (1..=n.min(self.inventory.topics.len() + 1))
                     .map(|i| format!("{}_{i}", kind.default_name))
                     .collect(),
@@ -242,7 +242,7 @@ impl<'a> Finder<'a, '_> {
         Ok(chosen)
     }
 
-    /// Range sensors that are named only by remappings.
+    /// Range sensors that are given only by remappings.
     fn remapped_range(&mut self) -> Result<Vec<Chosen<'a>>, PlanError> {
         let mut chosen = Vec::new();
         for (from, to) in &self.options.remappings {

@@ -1,20 +1,21 @@
-//! Which sensors are on one robot, and which frame is the robot's: recordings may hold several.
+//! Determines which sensors are on one robot, and which frame is the robot's: recordings may hold several
+//! robots.
 
 use portolan_geometry::Dimension;
 
 use crate::tf::TfTree;
 
-/// Frames of robots by convention, best first.
+/// Conventional names of robot frames, best first.
 const BASE_FRAMES: [&str; 6] = ["base_link", "base_footprint", "base", "base_frame", "robot_base", "chassis"];
 
-/// The frames that are those of robots by their names, also as `robot/base_link`, the best first.
+/// Frames named like those of robots, also as `robot/base_link`, the best first.
 pub(super) fn base_frames(tree: &TfTree) -> impl Iterator<Item = &str> {
     let named = |base: &'static str| tree.frames().filter(move |f| f.rsplit('/').next() == Some(base));
     BASE_FRAMES.into_iter().flat_map(named)
 }
 
-/// The frame whose z axis points up as far as is known: that of the robot which carries a sensor, else, in 2D, that of a planar
-/// scanner beside it. None in 3D without a robot: what is carried in the hand may lean as it likes.
+/// The frame whose z axis points up, if known: that of the robot which carries a sensor, otherwise, in 2D,
+/// that of a planar scanner on the same robot. None in 3D without a robot: a handheld sensor may be tilted.
 pub fn upright_frame<'a>(
     tree: &'a TfTree,
     frame: &str,
@@ -26,7 +27,7 @@ pub fn upright_frame<'a>(
     base_frames(tree).find(beside).or_else(scanner)
 }
 
-/// Whether transforms join two frames, and not through a frame that stays where it is while robots move.
+/// Whether transforms connect two frames without a frame that is fixed in the world while robots move.
 pub(super) fn are_on_one_robot(tree: &TfTree, a: &str, b: &str) -> bool {
     tree.connected(a, b) && tree.fixed_frame_between(a, b).is_none()
 }
@@ -42,7 +43,7 @@ pub(super) fn why_apart(tree: &TfTree, frame: &str, other: &str) -> Option<Strin
     ))
 }
 
-/// How many parts the names of two topics begin with that are the same: those of one robot may all begin with its name.
+/// Number of leading name parts that two topics share: topics of one robot may all begin with its name.
 pub(super) fn shared_parts(a: &str, b: &str) -> usize {
     a.split('/').zip(b.split('/')).take_while(|(a, b)| a == b).count()
 }

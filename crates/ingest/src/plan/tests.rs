@@ -248,14 +248,14 @@ fn the_raw_cloud_is_mapped_and_not_what_programs_made_of_it() {
         message.data.truncate(length);
         Message::PointCloud2(message)
     };
-    // Shorter names and an earlier place in the alphabet do not help.
+    // Shorter names and alphabetical order do not matter.
     let clouds = recording(&[("/cropped", &half), ("/velodyne_points", &timeless)]);
     let plan = planned(&clouds, &IngestOptions::default()).unwrap();
     assert_eq!(topics(&plan), ["/velodyne_points"]);
     let with_times = recording(&[("/driver/points_raw", &|t| cloud(t, "lidar")), ("/points", &timeless)]);
     let plan = planned(&with_times, &IngestOptions::default()).unwrap();
     assert_eq!(topics(&plan), ["/driver/points_raw"]);
-    // What a program for mapping put into its own frame.
+    // A cloud that a mapping program published in its own frame.
     let registered =
         recording(&[("/cloud_registered", &|t| cloud(t, "robot/camera_init")), ("/points", &timeless)]);
     let plan = planned(&registered, &IngestOptions::default()).unwrap();
@@ -326,7 +326,7 @@ fn in_2d_an_imu_whose_axes_are_swapped_is_left_out() {
     assert_eq!(notice.change, "--imu /imu");
     let asked_for = IngestOptions { imu_topic: Some("/imu".into()), ..IngestOptions::default() };
     assert!(planned(&swapped, &asked_for).unwrap().imu.is_some());
-    // A transform that says so makes it right.
+    // A transform with the tilt corrects it.
     let tilt = PI / 2.0;
     let mounted = recording(&[
         ("/scan", &|t| scan(t, "laser")),
@@ -365,7 +365,7 @@ fn in_3d_an_imu_that_leans_against_the_robot_is_left_out_and_one_in_the_hand_may
     assert!(with([0.3, 9.8, 0.1], "handle").imu.is_some());
 }
 
-/// A cloud of four rings all around without times, of a lidar that stands.
+/// A cloud of four rings all around without times, of a lidar at rest.
 fn timeless(seconds: f64, lag: f64) -> Message {
     let Message::PointCloud2(mut message) = cloud(seconds - lag, "lidar") else { panic!() };
     message.fields.retain(|f| f.name != "time");
@@ -391,7 +391,7 @@ fn clouds_without_times_get_them_from_the_azimuth_unless_told_otherwise() {
     };
     let range = &plan_of(Auto).range[0];
     assert!(range.azimuth_times == Off && range.point_time.is_some());
-    // Who asks gets what was asked for.
+    // A choice of the user is followed.
     for asked in [Off, FromStamp, UntilStamp] {
         let plan = plan_of(asked);
         assert_eq!((plan.range[0].azimuth_times, plan.range[0].point_time), (asked, None));

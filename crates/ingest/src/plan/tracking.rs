@@ -1,4 +1,4 @@
-//! Choosing the IMU and the frame whose motion is wanted.
+//! Chooses the IMU and the frame whose motion is estimated.
 
 use std::cmp::Reverse;
 
@@ -14,15 +14,16 @@ use crate::statistics::ImuStatistics;
 use crate::survey::Inventory;
 use crate::tf::frame_name;
 
-/// Half of the accelerations of an IMU that measures gravity are within these, m/s².
+/// Range of the median acceleration of an IMU that measures gravity, m/s².
 const PLAUSIBLE_GRAVITY: std::ops::Range<f64> = 8.0..12.0;
-/// Nothing that is mapped turns fast for longer than this fraction of the time: such samples are in degrees.
+/// Fraction of fast samples above which angular velocities must be in degrees per second: no platform turns
+/// fast for longer.
 const MOST_FAST: f64 = 0.1;
-/// Slower IMUs are of no use.
+/// Minimum rate of a usable IMU, samples per second.
 const MIN_RATE: f64 = 10.0;
-/// The IMU sits at the tracking frame if it is nearer than this, metres.
+/// Distance within which the IMU counts as at the tracking frame, metres.
 const SAME_PLACE: f64 = 1e-5;
-/// An IMU that leans more than this against the robot is of no use.
+/// Tilt against the robot above which an IMU is not used, degrees.
 const MAX_LEAN_DEGREES: f64 = 45.0;
 
 /// An IMU that may be used.
@@ -38,7 +39,7 @@ impl ImuChoice<'_> {
     }
 }
 
-/// The IMU: the one asked for, or the best of those that are plausible.
+/// Chooses the IMU: the requested one, or the best of the plausible ones.
 pub(super) fn choose_imu<'a>(
     inventory: &'a Inventory,
     request: &Request<'a>,
@@ -93,7 +94,7 @@ pub(super) fn choose_imu<'a>(
     Ok(choice)
 }
 
-/// `imu` before `imu/data` before all others.
+/// Order by name: `imu` before `imu/data` before all others.
 fn rank(topic: &str) -> u32 {
     match topic.trim_start_matches('/') {
         "imu" => 0,
@@ -112,7 +113,7 @@ fn scale(statistics: &ImuStatistics) -> ImuScale {
     }
 }
 
-/// Why an IMU that nobody asked for had better not be used.
+/// Reason not to use an IMU that the user did not ask for.
 fn objection(chosen: &Chosen, inventory: &Inventory, range: &[Chosen]) -> Option<String> {
     let statistics = chosen.survey.imu.clone().unwrap_or_default();
     let acceleration = statistics.median_acceleration * scale(&statistics).acceleration;
@@ -134,20 +135,21 @@ fn objection(chosen: &Chosen, inventory: &Inventory, range: &[Chosen]) -> Option
     Some(format!("{why} (give them with --urdf)"))
 }
 
-/// Whether it is known where the IMU is relative to a range sensor.
+/// Whether the pose of the IMU relative to a range sensor is known.
 fn is_connected(chosen: &Chosen, inventory: &Inventory, range: &[Chosen]) -> bool {
     let frame = chosen.frame();
     range.iter().any(|r| frame.is_empty() || are_on_one_robot(&inventory.tree, frame, r.frame()))
 }
 
-/// Why an IMU cannot tell level: what it shows as up leans far against the upright frame. Its axes are swapped, or its
-/// mounting is not in the transforms; scans levelled by it would be folded, and in 3D it tells turns about the wrong axes.
+/// Reason why an IMU cannot determine level: its measured up direction is tilted far against the upright
+/// frame. Its axes are swapped, or its mounting is not in the transforms. Scans levelled by it would be
+/// distorted, and in 3D it would measure rotation about the wrong axes.
 fn leaning(chosen: &Chosen, inventory: &Inventory, range: &[Chosen], dimension: Dimension) -> Option<String> {
     let up = Vector3::from(chosen.survey.imu.as_ref()?.mean_acceleration).try_normalize(1e-9)?;
     let tree = &inventory.tree;
     let upright = upright_frame(tree, chosen.frame(), range.iter().map(Chosen::frame), dimension)?;
     let up = tree.lookup_static(upright, chosen.frame())?.rotation * up;
-    // Planar scanners and their robots may be upside down: turns about z change nothing but their sign.
+    // Planar scanners and their robots may be upside down: that only changes the sign of rotation about z.
     let upward = if dimension == Dimension::TwoD { up.z.abs() } else { up.z };
     let degrees = upward.clamp(-1.0, 1.0).acos().to_degrees();
     let [x, y, z] = up.into();
@@ -159,8 +161,8 @@ fn leaning(chosen: &Chosen, inventory: &Inventory, range: &[Chosen], dimension: 
     })
 }
 
-/// The tracking frame: the one asked for; that of the IMU, or the frame of the robot at the same place;
-/// a frame of the robot that is connected with the range sensor; or that of the range sensor.
+/// Chooses the tracking frame: the requested one; that of the IMU, or the frame of the robot at the same
+/// position; a frame of the robot that is connected with the range sensor; or that of the range sensor.
 pub(super) fn choose_frame(
     inventory: &Inventory,
     options: &IngestOptions,

@@ -1,24 +1,25 @@
-//! By how much all beams point too low.
+//! Estimates by how much all beams point too low.
 //!
-//! The residuals of registered sweeps depend linearly on an angle by which all beams are raised: what was seen from afar is
-//! higher by more than what is seen from near. One step finds a part of the way, since points are paired anew when they
-//! move; the angle is where the step vanishes, by the secant through the last two.
+//! The residuals of registered sweeps depend linearly on an angle by which all beams are raised: a surface
+//! seen from afar rises by more than one seen from nearby. One step finds a part of the angle, since points
+//! are paired anew when they move. The angle is where the step vanishes, by the secant through the last two.
 
 use super::evidence::{Step, TurnTimes, beam_step};
 use super::follow::{self, Followed};
 use super::{Batch, INFLATION};
 use crate::beam_elevation::{ElevationOffset, Raise};
 
-/// A first step with fewer standard deviations ends the search: there is nothing to be found.
+/// Number of standard deviations of the first step below which the search ends without an offset.
 const WORTHWHILE: f64 = 3.0;
-/// The first step finds about so much of the way.
+/// Approximate fraction of the angle that the first step finds.
 const FOUND_AT_ONCE: f64 = 0.5;
-/// On real lidars it finds 0.52 to 0.55 of the way; where it is less than this share, beams are not what is wrong.
+/// Minimum of that fraction: on real lidars it is 0.52 to 0.55. Where it is smaller, the error is not in the
+/// beams.
 const LEAST_SLOPE: f64 = 0.35;
-/// Secants at most.
+/// Maximum number of secant steps.
 const SECANTS: usize = 2;
 
-/// The offset at which nothing more is to be found, from sweeps as they were `followed` with these times.
+/// Offset at which the step vanishes. The sweeps were `followed` with these times.
 pub(super) fn elevation(
     batches: &[Batch],
     followed: &[Followed],
@@ -41,7 +42,7 @@ pub(super) fn elevation(
             .collect();
         let there = step_of(&raised)?;
         let slope = (step - there.factors.x) / (next - last);
-        // What is taken out must no longer be found, or it is something else.
+        // An offset that was corrected must no longer be found; otherwise the cause is another one.
         if slope.is_nan() || slope < LEAST_SLOPE {
             return None;
         }

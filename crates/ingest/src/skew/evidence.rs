@@ -1,38 +1,38 @@
-//! What residuals of registered sweeps tell about the times of their points.
+//! Estimates times of points from the residuals of registered sweeps.
 
 use std::f32::consts::TAU;
 
 use portolan_geometry::Vector2;
 use portolan_geometry::nalgebra::{DMatrix, DVector, Matrix2, Matrix6, Matrix6x2, Vector6};
 
-/// Azimuths between which turns may begin, five degrees each.
+/// Number of azimuths at which turns may begin, five degrees apart.
 const BINS: usize = 72;
-/// Directions whose sums are independent of each other.
+/// Number of azimuth sectors whose sums are taken as independent of each other.
 const SECTORS: usize = 24;
-/// What holds poses where nothing else does.
+/// Information that holds poses in directions that no residual constrains.
 const POSE_PRIOR: f64 = 1e-3;
-/// Up to so many standard deviations more is likely.
+/// Number of standard deviations by which a likely value may exceed the estimate.
 pub(super) const LIKELY: f64 = 2.5;
-/// Another seam must fit so much better, in standard deviations.
+/// Number of standard deviations by which the factor of another seam must exceed zero.
 const CLEARLY: f64 = 4.0;
 
-/// What tells when a point was measured: shares of a turn or of a sweep, 0 to 1.
+/// Phases of a point from which its time may follow: fractions of a turn or of a sweep, 0 to 1.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Phases {
-    /// Of the turn by azimuth, from behind, counter-clockwise.
+    /// Fraction of the turn by azimuth, from behind, counter-clockwise.
     pub azimuth: f32,
-    /// Of the sweep by the time that was recorded with the point.
+    /// Fraction of the sweep by the time that was recorded with the point.
     pub recorded: f32,
 }
 
-/// Which phase times follow from.
+/// Phase from which times follow.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Clock {
     Azimuth,
     Recorded,
 }
 
-/// When in a turn which phase was measured.
+/// Time of a turn as a function of the phase.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct TurnTimes {
     pub clock: Clock,
@@ -40,7 +40,7 @@ pub(super) struct TurnTimes {
     pub begin: f32,
     /// 1 where phases grow with time, −1 where they fall.
     pub sense: f32,
-    /// How long a turn takes, in intervals between clouds: 1, or 1/2 where every other cloud is missing.
+    /// Duration of a turn, in intervals between clouds: 1, or 1/2 where every other cloud is missing.
     pub part: f64,
 }
 
@@ -48,7 +48,7 @@ impl TurnTimes {
     /// Times as they were recorded.
     pub const RECORDED: Self = Self { clock: Clock::Recorded, begin: 0.0, sense: 1.0, part: 1.0 };
 
-    /// A turn whose azimuths tell the time.
+    /// Times by azimuth: a turn that begins at the phase `begin`.
     pub fn by_azimuth(begin: f32, sense: f32) -> Self {
         Self { clock: Clock::Azimuth, begin, sense, part: 1.0 }
     }
@@ -61,7 +61,7 @@ impl TurnTimes {
         })
     }
 
-    /// The same by the phase that counts.
+    /// The same for the phase of the clock in use.
     fn share_at(&self, phase: f32) -> f64 {
         // The last point of a sweep is at its end, not at its beginning.
         if self.begin == 0.0 && self.sense > 0.0 {
@@ -74,53 +74,54 @@ impl TurnTimes {
 /// A matched point.
 #[derive(Clone, Debug)]
 pub(super) struct Row {
-    /// Of the residual by the pose.
+    /// Derivative of the residual by the pose.
     pub jacobian: Vector6<f64>,
     /// Distance of the point from the surface, metres.
     pub residual: f64,
     pub weight: f64,
-    /// Of the point, and of the surface that it is on.
+    /// Phases of the point and of the point of the surface that it is matched to.
     pub phases: [Phases; 2],
-    /// What the residual changes by if these are given one turn more: by translation and by rotation.
+    /// Change of the residual if the time of each of these two grows by one turn: by translation and by
+    /// rotation.
     pub gains: [Vector2; 2],
-    /// What the residual changes by for each radian that all beams are raised.
+    /// Change of the residual for each radian that all beams are raised.
     pub by_elevation: f64,
     /// Azimuth of the surface, radians.
     pub direction: f32,
 }
 
-/// What is left of the points of one sweep registered to another.
+/// Residuals of one sweep registered to another.
 #[derive(Clone, Debug)]
 pub(super) struct Pair {
     pub rows: Vec<Row>,
-    /// How many of the points that were judged lie on surfaces.
+    /// Weighted number of the evaluated points that are on surfaces.
     pub explained: f64,
 }
 
-/// By how much the factors of translation and of rotation should change.
+/// Estimated change of the factors of translation and of rotation.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Step {
     pub factors: Vector2,
     pub sigmas: Vector2,
 }
 
-/// What the factors should be changed by, poses being free.
+/// Change of the factors, with free poses.
 pub(super) fn step(pairs: &[&Pair], times: TurnTimes) -> Option<Step> {
     step_toward(pairs, |phases| times.share(phases))
 }
 
-/// The change of the factors of any function of the phases, in turns.
+/// Change of the factors for any function of the phases, in turns.
 fn step_toward(pairs: &[&Pair], share: impl Fn(Phases) -> f64) -> Option<Step> {
     solve(pairs, |row| row.slopes(&share))
 }
 
-/// By what all beams should be raised, radians: the first of the two. An error of ranges is not estimated with it: ground
-/// hardly tells one from the other.
+/// Angle by which all beams should be raised, radians: the first of the two factors. A range error is not
+/// estimated with it, as ground hardly separates the two.
 pub(super) fn beam_step(pairs: &[&Pair]) -> Option<Step> {
     solve(pairs, |row| Vector2::new(row.by_elevation, 0.0))
 }
 
-/// Two unknowns that the residuals depend on by these slopes, poses being free.
+/// Solves for two unknowns on which the residuals depend by these slopes, with free poses.
 fn solve(pairs: &[&Pair], slopes_of: impl Fn(&Row) -> Vector2) -> Option<Step> {
     let mut sectors = [(Vector2::zeros(), Matrix2::zeros()); SECTORS];
     for pair in pairs {
@@ -146,7 +147,7 @@ fn solve(pairs: &[&Pair], slopes_of: impl Fn(&Row) -> Vector2) -> Option<Step> {
     }
     let covariance = held(sectors.iter().map(|(_, information)| information).sum()).try_inverse()?;
     let factors: Vector2 = covariance * sectors.iter().map(|(gradient, _)| gradient).sum::<Vector2>();
-    // What single sectors say, beside what all say together.
+    // Scatter of the single sectors about the common solution.
     let scatter: Matrix2<f64> = (sectors.iter())
         .map(|(gradient, information)| gradient - information * factors)
         .map(|rest| rest * rest.transpose())
@@ -155,7 +156,7 @@ fn solve(pairs: &[&Pair], slopes_of: impl Fn(&Row) -> Vector2) -> Option<Step> {
     Some(Step { factors, sigmas })
 }
 
-/// Where nothing turns, or nothing moves on, that factor stays.
+/// Holds a factor without information, where there is no rotation or no translation.
 fn held(information: Matrix2<f64>) -> Matrix2<f64> {
     information + Matrix2::identity() * (1e-6 * information.trace() + f64::MIN_POSITIVE)
 }
@@ -170,29 +171,28 @@ impl Row {
     }
 }
 
-/// Where turns begin and which way they go, judged by how surely points that have the times of such turns would fit
-/// better.
+/// Begin and direction of the turns: those for which times of points reduce the residuals most significantly.
 pub(super) fn most_likely_turn(pairs: &[&Pair]) -> Option<TurnTimes> {
     let equations = BinEquations::of(pairs)?;
     let sure = |times: &TurnTimes| equations.step(|phase| times.share_at(phase)).sureness();
     turns().max_by(|a, b| sure(a).total_cmp(&sure(b)))
 }
 
-/// A turn that fits clearly better than the one whose motion was taken out already.
+/// A turn that fits clearly better than the one that the sweeps were de-skewed with.
 pub(super) fn better_turn(pairs: &[&Pair], taken_out: TurnTimes) -> Option<TurnTimes> {
     let equations = BinEquations::of(pairs)?;
     let change = |times: &TurnTimes, phase: f32| times.share_at(phase) - taken_out.share_at(phase);
     let sure = |times: &TurnTimes| equations.step(|phase| change(times, phase)).sureness();
     let best = turns().filter(|t| *t != taken_out).max_by(|a, b| sure(a).total_cmp(&sure(b)))?;
     let step = step_toward(pairs, |phases| change(&best, phases.azimuth))?;
-    // A third of the way is what one step finds.
+    // One step finds about a third of the factor.
     let is_better = |factor: f64, sigma: f64| factor > (CLEARLY * sigma).max(0.2);
     let Step { factors, sigmas } = step;
     (is_better(factors.x, sigmas.x) || is_better(factors.y, sigmas.y)).then_some(best)
 }
 
-/// The largest steps that are likely for any turn; how much formal standard deviations are to be scaled is known from
-/// those of one.
+/// Largest likely steps over all turns. The scale of formal standard deviations is taken from the turn `one`,
+/// for which they are known.
 pub(super) fn largest_steps(pairs: &[&Pair], of_one: Step, one: TurnTimes) -> Option<Vector2> {
     let equations = BinEquations::of(pairs)?;
     let formal = equations.step(|phase| one.share_at(phase)).sigmas();
@@ -209,7 +209,7 @@ fn turns() -> impl Iterator<Item = TurnTimes> {
     (0..BINS).flat_map(move |i| [1.0, -1.0].map(|sense| TurnTimes::by_azimuth(begin(i), sense)))
 }
 
-/// Normal equations of the times of all phases, poses eliminated: first of translation, then of rotation.
+/// Normal equations of the times of all phases, poses eliminated: first translation, then rotation.
 struct BinEquations {
     information: DMatrix<f64>,
     gradient: DVector<f64>,
@@ -254,7 +254,7 @@ impl BinEquations {
         Some(Self { information, gradient })
     }
 
-    /// Of the factors of times by azimuth.
+    /// Normal equations of the factors for times by azimuth.
     fn step(&self, share: impl Fn(f32) -> f64) -> FactorEquations {
         let times = DVector::from_fn(BINS, |i, _| share((i as f32 + 0.5) / BINS as f32));
         let block = |i: usize, j: usize| {
@@ -268,7 +268,7 @@ impl BinEquations {
 }
 
 impl Row {
-    /// What the residual changes by with the times of bins, by translation and by rotation.
+    /// Change of the residual with the times of azimuth bins, by translation and by rotation.
     fn bin_gains(&self) -> [(usize, f64); 4] {
         let bins = self.phases.map(|phases| (phases.azimuth * BINS as f32) as usize % BINS);
         let [source, target] = self.gains;
@@ -281,13 +281,14 @@ impl FactorEquations {
         self.information.try_inverse().map_or_else(Vector2::zeros, |inverse| inverse * self.gradient)
     }
 
-    /// Up to a common scale.
+    /// Standard deviations, up to a common scale.
     fn sigmas(&self) -> Vector2 {
         let inverse = self.information.try_inverse().unwrap_or_else(|| Matrix2::identity() * f64::MAX);
         inverse.diagonal().map(f64::sqrt)
     }
 
-    /// By how many standard deviations the factors exceed zero, up to a common scale. Negative ones are no evidence.
+    /// By how many standard deviations the factors exceed zero, up to a common scale. Negative factors do not
+    /// count.
     fn sureness(&self) -> f64 {
         let factors = self.factors();
         let alone =

@@ -1,44 +1,44 @@
-//! How well sweeps fit each other if the motion in their points is taken for this or that.
+//! Compares how well sweeps fit each other under different assumptions on the motion in their points.
 //!
-//! Residuals of points beyond the seam of a turn are as large as the motion of a turn, so the robust loss takes them for
-//! outliers, and linear least squares may see nothing of the motion where only they could show it. How many points lie on
-//! surfaces when the motion of a turn is taken out shows it.
+//! Residuals of points beyond the seam of a turn are as large as the motion of a turn, so the robust loss
+//! takes them for outliers. Linear least squares may then miss the motion where only these points could show
+//! it. The number of points on surfaces after de-skewing shows it.
 
 use super::INFLATION;
 use super::evidence::TurnTimes;
 use super::follow::Followed;
 
-/// A fit is better or worse if it is so by so many standard errors.
+/// Number of standard errors from which a fit counts as better or worse.
 const CLEARLY: f64 = 2.5;
-/// Fewer pairs of sweeps have no standard error.
+/// Minimum number of pairs of sweeps for a standard error.
 const MIN_PAIRS: usize = 4;
 
-/// Turns that lidars make: from ahead, behind and the sides, both ways.
+/// Turns of usual lidars: begin behind, at the sides and ahead, in both directions.
 pub(super) fn usual_turns() -> impl Iterator<Item = TurnTimes> {
     [0.0, 0.25, 0.5, 0.75]
         .into_iter()
         .flat_map(|begin| [1.0, -1.0].map(|sense| TurnTimes::by_azimuth(begin, sense)))
 }
 
-/// Whether sweeps fit clearly better in the second way; both were followed from the same pairs.
+/// Whether sweeps fit clearly better in `other`; both hold the same pairs.
 pub(super) fn is_better(one: &[Followed], other: &[Followed]) -> bool {
     is_clearly_positive(&gains(one, other))
 }
 
-/// By how many standard errors sweeps fit better in the second way, or worse if less than zero. Pairs that share sweeps are not
-/// independent: errors are inflated as those of factors. Zero if there are too few pairs.
+/// By how many standard errors sweeps fit better in `other`, or worse if negative. Pairs that share sweeps
+/// are not independent, so errors are inflated as those of factors. Zero if there are too few pairs.
 pub(super) fn sigmas_better(one: &[Followed], other: &[Followed]) -> f64 {
     let (mean, error) = mean_and_error(&gains(one, other));
     let sigmas = mean / (INFLATION * error);
     if sigmas.is_finite() { sigmas } else { 0.0 }
 }
 
-/// How many points of all pairs lie on surfaces.
+/// Weighted number of points on surfaces, over all pairs.
 pub(super) fn explained(followed: &[Followed]) -> f64 {
     followed.iter().flat_map(|followed| &followed.pairs).map(|pair| pair.explained).sum()
 }
 
-/// How many more points of each pair lie on surfaces in the second way.
+/// How many more points of each pair are on surfaces in `other`.
 fn gains(one: &[Followed], other: &[Followed]) -> Vec<f64> {
     (one.iter().zip(other))
         .flat_map(|(one, other)| one.pairs.iter().zip(&other.pairs))

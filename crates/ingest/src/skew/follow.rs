@@ -1,4 +1,4 @@
-//! A few sweeps registered to each other.
+//! Registers a few sweeps to each other.
 
 use std::ops::RangeInclusive;
 
@@ -9,36 +9,43 @@ use super::evidence::{Pair, Phases, Row, TurnTimes};
 use super::target::{FEWER, LAST_GATE, LEAST_SCALE, Match, Surface, Target, scale_of, weight};
 use crate::beam_elevation::{Raise, by_elevation};
 
-/// So many points of a sweep are surfaces; so many of these are matched, and so many judged then.
+/// Wanted number of points of a sweep after thinning.
 const WANTED_SURFACE_POINTS: f32 = 12_000.0;
+/// Number of points of a sweep that are matched in registration.
 const MATCHED_POINTS: usize = 800;
+/// Number of points of a sweep whose residuals are evaluated after registration.
 const JUDGED_POINTS: usize = 2500;
-/// More points of a sweep are not looked at.
+/// Maximum number of points of a sweep that are used before thinning.
 const MAX_POINTS: usize = 30_000;
-/// Points nearer than this, and than this share of the median range, are of the carrier; metres.
+/// Range below which points are taken for the platform, metres.
 const NEAREST: f32 = 0.7;
+/// The same as a fraction of the median range.
 const NEAREST_SHARE: f32 = 0.12;
-/// Farther points are too rare to have normals, metres.
+/// Range beyond which points are too sparse to have normals, metres.
 const FARTHEST: f32 = 80.0;
-/// A sweep is registered to the one so many sweeps before, or fewer: what was seen then must still be in view, which
-/// it is for so much of the median range.
+/// Number of sweeps between a sweep and the earlier one that it is registered to. The surfaces seen then must
+/// still be in view.
 const LAGS: RangeInclusive<usize> = 2..=6;
+/// Distance over which surfaces stay in view, as a fraction of the median range.
 const IN_VIEW: f64 = 0.5;
-/// Nearest points are paired within this first, metres.
+/// Distance within which nearest points are paired for the first pose, metres.
 const FIRST_GATE: f64 = 2.0;
+/// Distance within which nearest points are paired at first for later poses, metres.
 const GATE: f64 = 1.0;
-/// Points may be so far from where they are expected, as motion displaced them, metres.
+/// Maximum distance of evaluated points from the surface, metres: the motion displaced them.
 const JUDGED_GATE: f64 = 0.5;
-/// Ways of the first sweep that are tried, metres, and those nearer together are the same.
+/// Translations of the first sweep that are tried in each direction, metres.
 const FIRST_WAYS: [f64; 4] = [0.7, 1.4, 2.1, 2.8];
+/// Distance within which two solutions are the same, metres.
 const SAME_WAY: f64 = 0.2;
-/// So many of them are followed for so many more sweeps.
+/// Maximum number of solutions that are followed further.
 const CANDIDATES: usize = 6;
+/// Number of sweeps after the first that are used for it.
 const AHEAD: usize = 4;
-/// Motion of points by less than this in a sweep is none, metres.
+/// Motion of points per sweep below which the lidar stands still, metres.
 const STILL: f64 = 0.004;
 
-/// A sweep, thinned.
+/// A thinned sweep.
 #[derive(Clone, Debug)]
 pub(super) struct Sample {
     /// In the frame of the lidar, metres.
@@ -52,11 +59,11 @@ pub(super) struct Sample {
 pub(super) struct Followed {
     /// Surfaces at the points of each sweep. Motion within a sweep hardly turns them.
     surfaces: Vec<Vec<Surface>>,
-    /// The lidar in the middle of each sweep, in the frame of the first.
+    /// Poses of the lidar in the middle of each sweep, in the frame of the first.
     poses: Vec<Rigid3>,
-    /// How many sweeps before each it was registered to.
+    /// Number of sweeps between each sweep and the one that it was registered to.
     lag: usize,
-    /// What each registration left, for those that were registered so many sweeps back.
+    /// Residuals of each registration, for sweeps that were registered exactly `lag` sweeps back.
     pub pairs: Vec<Pair>,
 }
 
@@ -68,19 +75,19 @@ pub(super) struct Twist {
 }
 
 impl Twist {
-    /// How a point moves with the lidar during one turn.
+    /// Displacement of a point with the lidar during one turn.
     fn of(&self, point: &Vector3) -> Vector3 {
         self.rotation.cross(point) + self.translation
     }
 
-    /// The same along a direction, by translation and by rotation.
+    /// Its components along a direction, by translation and by rotation.
     fn parts(&self, point: &Vector3, direction: &Vector3) -> Vector2 {
         Vector2::new(direction.dot(&self.translation), direction.dot(&self.rotation.cross(point)))
     }
 }
 
 impl Sample {
-    /// One point for each voxel, whose edge is adapted from sweep to sweep.
+    /// Keeps one point for each voxel, whose edge is adapted from sweep to sweep.
     pub fn thinned(points: &[Point3f], phases: &[Phases], edge: &mut f32) -> Self {
         let stride = points.len().div_ceil(MAX_POINTS).max(1);
         let mut some: Vec<(f32, &Point3f, Phases)> = (points.iter().zip(phases).step_by(stride))
@@ -108,19 +115,19 @@ impl Sample {
         Self { points, phases, median_range }
     }
 
-    /// One of its points, and the phases of this point.
+    /// A point and its phases.
     fn point(&self, index: usize) -> Option<(Vector3, Phases)> {
         let point = Vector3::from(self.points.get(index)?.map(f64::from));
         Some((point, *self.phases.get(index)?))
     }
 
-    /// With all beams raised.
+    /// The sample with all beams raised.
     pub fn raised(&self, raise: &Raise) -> Self {
         let point = |p: &[f32; 3]| raise.point(&Point3f::from(*p)).coords.into();
         Self { points: self.points.iter().map(point).collect(), ..self.clone() }
     }
 
-    /// With the motion taken out that its points have by these times.
+    /// The points de-skewed with these times.
     fn deskewed(&self, times: Option<TurnTimes>, twist: &Twist) -> Vec<[f32; 3]> {
         let Some(times) = times else { return self.points.clone() };
         let moved = |(p, phases): (&[f32; 3], &Phases)| {
@@ -131,14 +138,14 @@ impl Sample {
     }
 }
 
-/// So many points, spread over the sweep.
+/// About `wanted` points, spread over the sweep.
 fn spread(points: &[[f32; 3]], wanted: usize) -> Vec<(usize, Vector3)> {
     let stride = points.len().div_ceil(wanted).max(1);
     let some = points.iter().enumerate().step_by(stride);
     some.map(|(index, point)| (index, Vector3::from(point.map(f64::from)))).collect()
 }
 
-/// Whether nothing moved from the first of these sweeps to the last.
+/// Whether the lidar stood still from the first of these sweeps to the last.
 pub(super) fn stands(samples: &[Sample]) -> bool {
     let (Some(first), Some(last)) = (samples.first(), samples.last()) else { return true };
     let mut target = Target::new(first.points.clone(), None);
@@ -149,8 +156,8 @@ pub(super) fn stands(samples: &[Sample]) -> bool {
     (pose.translation.vector.norm() + turn) / sweeps < STILL
 }
 
-/// Registers each sweep to an earlier one. With `times` the motion that points have by them is taken out, as it was
-/// found `before`.
+/// Registers each sweep to an earlier one. With `times` the sweeps are de-skewed, by the motion found
+/// `before`.
 pub(super) fn follow(
     samples: &[Sample],
     times: Option<TurnTimes>,
@@ -186,7 +193,7 @@ fn follow_deskewed(
         let (target, first_from_target) = (targets.get_mut(to)?, *poses.get(to)?);
         let pose = target.register(source, first_from_target.inverse() * guess, gate)?;
         poses.push(first_from_target * pose);
-        // Sweeps that follow each other see surfaces under the same azimuth.
+        // Consecutive sweeps see surfaces under the same azimuth.
         if sweep == 1 && before.is_none() {
             lag = lag_in_view(&pose, samples.first()?.median_range);
         }
@@ -209,8 +216,9 @@ fn lag_in_view(motion_of_sweep: &Rigid3, median_range: f32) -> usize {
     (sweeps as usize).clamp(*LAGS.start(), *LAGS.end())
 }
 
-/// The pose of the second sweep in the frame of the first. A car may be fast already, and rings on the ground look
-/// alike from anywhere: of several motions the one whose continuation explains the sweeps after it counts.
+/// Pose of the second sweep in the frame of the first. A car may be fast already, and rings on the ground
+/// look alike from anywhere. Of several motions the one is taken whose continuation explains the following
+/// sweeps best.
 fn first_pose(target: &mut Target, sources: &[Vec<(usize, Vector3)>]) -> Option<Rigid3> {
     let few: Vec<Vec<_>> =
         sources.iter().take(1 + AHEAD).map(|s| s.iter().step_by(FEWER).copied().collect()).collect();
@@ -267,7 +275,7 @@ fn pair([from, to]: [(&Sample, &Twist); 2], pose: &Rigid3, matches: &[Match]) ->
 }
 
 impl Followed {
-    /// The motion alone: surfaces are to be computed anew.
+    /// Only the motion: surfaces are to be computed anew.
     pub fn without_surfaces(&self) -> Self {
         Self { surfaces: Vec::new(), poses: self.poses.clone(), lag: self.lag, pairs: Vec::new() }
     }

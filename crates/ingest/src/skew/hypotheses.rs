@@ -1,86 +1,92 @@
-//! What factors that are neither 0 nor 1 mean: a turn takes less time than passes between clouds, or times of points are wrong by a factor.
+//! Explains skew factors that are neither 0 nor 1: a turn takes less time than the interval between clouds,
+//! or the times of points are wrong by a factor.
 //!
-//! A recording may hold every other cloud of a lidar, or one in three: to save space, or because its topic was throttled. Clouds
-//! without times do not say so. If all of the motion of a turn is in the points, and it is a half or a third of that
-//! between clouds, so long is the turn. Times of points may count backwards, as the age of points at the end of the sweep, or be made for
-//! another rate of revolution. Or they are those of other points: of another lidar, of a turn that begins elsewhere, shuffled. Where a lidar
-//! spins the azimuth tells the times of its points, too.
+//! A recording may hold only every second or third cloud of a lidar: to save space, or because its topic was
+//! throttled. Clouds without times do not show it directly. If all of the motion of a turn is in the points,
+//! and it is a half or a third of the motion between clouds, then a turn takes a half or a third of the
+//! interval. Times of points may count backwards, as the age of points at the end of the sweep, or be made
+//! for another rate of revolution. Or they belong to other points: of another lidar, of a turn that begins
+//! elsewhere, or shuffled. For a spinning lidar the azimuth gives the times of its points as well.
 
 use super::{Skew, SkewFactor};
 use crate::azimuth_time::Turn;
 
-/// One cloud in so many is there.
+/// Ratios of clouds measured to clouds recorded that are tried.
 const ONE_IN: [f64; 2] = [2.0, 3.0];
-/// What times of points may be wrong by: they are ages; for 20 instead of 10 turns a second; the other way round.
+/// Factors by which times of points may have to be multiplied: they are ages (−1); they were made for 20
+/// instead of 10 turns a second (2); the reverse (0.5).
 const TIME_SCALES: [f64; 3] = [-1.0, 2.0, 0.5];
-/// Lidars turn up to 20 times a second, give or take.
+/// Upper limit of the rate of lidars, turns per second: 20, with some tolerance.
 const FASTEST_HZ: f64 = 21.0;
-/// One step along the secant is off by some such share of the factor, whatever its standard deviation says: factors of raw drives
-/// are 0.77 to 1.15.
+/// Relative error of a factor from one secant step, beside its standard deviation: factors of raw drives are
+/// 0.77 to 1.15.
 const SECANT_ERROR: f64 = 0.15;
-/// Squared standard deviations that two factors are likely to be off by at most …
+/// Misfit of the two factors, in squared standard deviations, up to which a hypothesis is likely.
 const LIKELY: f64 = 12.0;
-/// … and by how much more they must be off from 0 and from 1.
+/// Minimum by which the misfits of 0 and of 1 must exceed that of the accepted hypothesis, squared standard
+/// deviations.
 const MARGIN: f64 = 6.0;
-/// By so much more where nothing but the factors tells, or times span one turn as they are.
+/// The same where only the factors decide, or where the recorded times already span one turn.
 const CLEAR_MARGIN: f64 = 16.0;
-/// Times span a whole turn if it is one but for such a part.
+/// Tolerance within which times span a whole turn, as a fraction of the turn.
 const WHOLE_TURN: f64 = 0.1;
-/// Times are contradicted if sweeps fit better with others by so many standard deviations.
+/// Number of standard deviations by which sweeps must fit better with other times for the recorded ones to be
+/// rejected.
 const CONTRADICTED: f64 = 2.5;
 
-/// One cloud in how many there is, if these come each `interval` seconds and it is not each, as their factors in units of the motion between
-/// clouds tell.
+/// Ratio of clouds measured to clouds recorded, if clouds are missing. It follows from the factors, in units
+/// of the motion between clouds; `interval` is the time between clouds, seconds.
 pub(super) fn one_cloud_in(skew: &Skew, interval: f64) -> Option<f64> {
     let possible = ONE_IN.into_iter().filter(|one_in| *one_in <= FASTEST_HZ * interval);
     told(skew, possible.map(f64::recip), MARGIN).map(f64::recip)
 }
 
-/// What the times of points are to be multiplied with, as factors in units of the motion during the time that they span tell; none if they
-/// are right, the motion was taken out, or that is not known.
+/// Factor by which the times of points must be multiplied. It follows from the skew factors, in units of the
+/// motion during the time that the times span. None if the times are right, the clouds were de-skewed, or the
+/// factors are unknown.
 pub(super) fn scale_of_times(skew: &Skew) -> Option<f64> {
     let is_known = skew.translation.sigma.is_finite() && skew.rotation.sigma.is_finite();
     told(skew, TIME_SCALES.into_iter(), CLEAR_MARGIN).filter(|_| is_known)
 }
 
-/// Which of these both factors are, if neither 0 nor 1 is likely.
+/// The expected value that both factors have, if neither 0 nor 1 is likely.
 fn told(skew: &Skew, expected: impl Iterator<Item = f64>, margin: f64) -> Option<f64> {
     let (found, least) =
         expected.map(|factor| (factor, misfit(skew, factor))).min_by(|a, b| a.1.total_cmp(&b.1))?;
     (least < LIKELY && misfit(skew, 0.0).min(misfit(skew, 1.0)) > least + margin).then_some(found)
 }
 
-/// Squared standard deviations that those factors that are known are off from an expected one.
+/// Squared standard deviations between an expected value and those factors that are known.
 fn misfit(skew: &Skew, expected: f64) -> f64 {
     let factors = [skew.translation, skew.rotation];
     let known = factors.iter().filter(|f: &&SkewFactor| f.sigma.is_finite());
     known.map(|f| ((f.factor - expected) / f.sigma.hypot(SECANT_ERROR * expected)).powi(2)).sum()
 }
 
-/// What the times of points may be.
+/// Candidates for the times of points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Times {
-    /// Those that were recorded, multiplied with this; 0: they are not to be used.
+    /// The recorded times multiplied by this; 0: they are not to be used.
     Scaled(f64),
-    /// Those that follow from the azimuth, of a lidar that turns like this.
+    /// The times that follow from the azimuth, for a lidar that turns like this.
     ByAzimuth(Turn),
 }
 
-/// The times of points that factors and fits together tell.
+/// Times of points that factors and fits determine together.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct FittingTimes {
-    /// What they are.
+    /// The times.
     pub times: Times,
-    /// Whether it is clear that this is right, not only that times are wrong as they are.
+    /// Whether these times are clearly right. Otherwise it is only clear that the recorded ones are wrong.
     pub is_clear: bool,
 }
 
-/// What sweeps say if the azimuth tells times, where it tells others than those recorded.
+/// Skew estimated with times by azimuth, where these differ from the recorded ones.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct AzimuthWitness {
-    /// Factors in units of the motion by azimuth.
+    /// Factors in units of the motion with times by azimuth.
     pub skew: Skew,
-    /// What they are if recorded times are right.
+    /// Expected value of the factors if the recorded times are right.
     pub slope: f64,
 }
 
@@ -89,7 +95,7 @@ impl AzimuthWitness {
         Times::ByAzimuth(self.skew.turn())
     }
 
-    /// Squared standard deviations that factors are off if these are the times.
+    /// Squared standard deviations between the factors and those expected for these times.
     fn misfit(&self, times: Times) -> f64 {
         misfit(
             &self.skew,
@@ -101,27 +107,28 @@ impl AzimuthWitness {
     }
 }
 
-/// How sweeps fit if these are the times of points.
+/// Fit of the sweeps for candidate times of points.
 pub(super) trait Fits {
-    /// By how many standard deviations sweeps fit better with the second ones.
+    /// By how many standard deviations sweeps fit better with `to` than with `from`.
     fn sigmas_better(&self, from: Times, to: Times) -> f64;
 
-    /// How many points lie on surfaces with these.
+    /// Weighted number of points on surfaces with these times.
     fn explained(&self, times: Times) -> f64;
 }
 
-/// Whether times that span such a part of the interval between clouds span a turn.
+/// Whether times that span the fraction `duty` of the interval between clouds span a whole turn.
 pub(super) fn is_whole_turn(duty: f64) -> bool {
     (duty - 1.0).abs() < WHOLE_TURN
 }
 
-/// What times may be wrong by that span the share `duty` of the interval between clouds, from one cloud to the next included.
+/// Candidate factors of wrong times that span the fraction `duty` of the interval between clouds. The factor
+/// with which they span exactly one interval is included.
 fn wrong_scales(duty: f64) -> impl Iterator<Item = f64> {
     let is_new = |whole: &f64| TIME_SCALES.iter().chain(&[1.0]).all(|scale| !is_whole_turn(whole / scale));
     TIME_SCALES.into_iter().chain(Some(duty.recip()).filter(is_new))
 }
 
-/// The same, with times as they are and times not used.
+/// The same, and also times as recorded (1) and times not used (0).
 pub(super) fn scales_of_times(duty: f64) -> impl Iterator<Item = f64> {
     wrong_scales(duty).chain([0.0, 1.0])
 }
@@ -129,20 +136,21 @@ pub(super) fn scales_of_times(duty: f64) -> impl Iterator<Item = f64> {
 const AS_RECORDED: Times = Times::Scaled(1.0);
 const NONE: Times = Times::Scaled(0.0);
 
-/// What the times of points are, as factors and fits together tell; none if nothing speaks against those recorded. Factors are
-/// in units of the motion during the time that times span, which is the share `duty` of the interval between clouds.
+/// Times of points that factors and fits determine together; none if nothing contradicts the recorded ones.
+/// Factors are in units of the motion during the time that the times span, which is the fraction `duty` of
+/// the interval between clouds.
 pub(super) fn times_that_fit(
     skew: &Skew,
     duty: f64,
     by_azimuth: Option<AzimuthWitness>,
     fits: &impl Fits,
 ) -> Option<FittingTimes> {
-    // Fits alone do not tell that a lidar spins: sweeps that never repeat hardly show the same things.
+    // Fits alone do not show that a lidar spins: non-repetitive sweeps hardly show the same surfaces.
     let by_azimuth = by_azimuth.filter(|witness| is_known(&witness.skew));
     let scaled = clear_scale(skew, duty, fits);
     let turned = by_azimuth.and_then(|witness| clear_by_azimuth(&witness, scaled, fits));
     if let Some(times) = turned.or(scaled) {
-        // Another hypothesis that fits better, though not clearly, leaves open which is right.
+        // If another hypothesis fits better, though not clearly, the question stays open.
         let is_rivalled = by_azimuth
             .is_some_and(|witness| turned.is_none() && fits.sigmas_better(times, witness.times()) > 0.0);
         if !is_rivalled {
@@ -150,7 +158,8 @@ pub(super) fn times_that_fit(
         }
     }
     let all = || scales_of_times(duty).map(Times::Scaled).chain(by_azimuth.map(|witness| witness.times()));
-    // Where sweeps tell nothing of the motion, as those that never repeat, all points at one time fit best, whatever is right.
+    // Where sweeps carry no information on the motion, as non-repetitive ones, equal times of all points fit
+    // best, whichever times are right.
     let is_known = is_known(skew);
     let contradicts = |times: Times| {
         fits.sigmas_better(AS_RECORDED, times) > CONTRADICTED
@@ -161,19 +170,19 @@ pub(super) fn times_that_fit(
     is_contradicted.then_some(FittingTimes { times, is_clear: false })
 }
 
-/// Whether a factor is known at all.
+/// Whether at least one factor is known.
 fn is_known(skew: &Skew) -> bool {
     skew.translation.sigma.is_finite() || skew.rotation.sigma.is_finite()
 }
 
-/// What recorded times are to be multiplied with, if that is clear.
+/// Factor by which recorded times must be multiplied, if that is clear.
 fn clear_scale(skew: &Skew, duty: f64, fits: &impl Fits) -> Option<Times> {
     let evidence = |from: f64, to: f64| {
         let sigmas = fits.sigmas_better(Times::Scaled(from), Times::Scaled(to));
         misfit(skew, from) - misfit(skew, to) + sigmas * sigmas.abs()
     };
     let spans_turn = |scale: f64| is_whole_turn(scale.abs() * duty);
-    // A sweep takes the time from one cloud to the next: times that span another one are doubtful by themselves.
+    // A sweep takes the time from one cloud to the next: times with another span are suspect from the start.
     let margin = |scale| if spans_turn(scale) && !spans_turn(1.0) { MARGIN } else { CLEAR_MARGIN };
     let exceeds = |scale: f64| evidence(1.0, scale).min(evidence(0.0, scale)) - margin(scale);
     let likely = wrong_scales(duty).filter(|scale| misfit(skew, *scale) < LIKELY);
@@ -181,7 +190,8 @@ fn clear_scale(skew: &Skew, duty: f64, fits: &impl Fits) -> Option<Times> {
     clear.filter(|(exceeds, _)| *exceeds > 0.0).map(|(_, scale)| Times::Scaled(scale))
 }
 
-/// Times by azimuth, if it is clear that these are right: the clock of the sweep is taken from its points then.
+/// Times by azimuth, if they are clearly right: the recorded times are rejected, and the clock of the sweep
+/// then follows from its points.
 fn clear_by_azimuth(witness: &AzimuthWitness, scaled: Option<Times>, fits: &impl Fits) -> Option<Times> {
     let times = witness.times();
     let evidence = |from: Times| {
@@ -252,7 +262,7 @@ mod tests {
         }
     }
 
-    /// How sweeps fit with times by azimuth.
+    /// Fit of the sweeps with times by azimuth.
     const BY_AZIMUTH: f64 = 1.0;
 
     #[test]
@@ -268,7 +278,7 @@ mod tests {
         let back: fn(f64) -> f64 = |s| -(s + 1.0).abs();
         let double: fn(f64) -> f64 = |s| -(s - 2.0).abs();
         let nothing: fn(f64) -> f64 = |_| 0.0;
-        // Factors know nothing: fits tell alone, or that times are wrong, or nothing.
+        // Factors are unknown: fits determine the times, or only that they are wrong, or nothing.
         assert_eq!(told(unknown, unknown, 1.0, back, 0.2), Some((-1.0, true)));
         assert_eq!(told(unknown, unknown, 1.0, back, 0.7), Some((-1.0, false)));
         assert_eq!(told(unknown, unknown, 1.0, back, 1.0), None);
@@ -276,7 +286,8 @@ mod tests {
         let none: fn(f64) -> f64 = |s| -s.abs();
         assert_eq!(told(unknown, unknown, 1.0, none, 0.2), None);
         assert_eq!(told((0.3, 0.4), unknown, 1.0, none, 0.3), Some((0.0, false)));
-        // A sweep of half of the interval between clouds, whose factors leave open what fits do not tell.
+        // Sweeps of half of the interval between clouds: their factors alone are not conclusive, and the fits
+        // do not decide.
         let factors = ((1.58, 0.21), (1.64, 0.25));
         assert_eq!(told(factors.0, factors.1, 0.5, nothing, 1.0), Some((2.0, true)));
         assert_eq!(told(factors.0, factors.1, 1.0, nothing, 1.0), None);
@@ -296,13 +307,13 @@ mod tests {
             Some(FittingTimes { times, is_clear })
         };
         let none: fn(f64) -> f64 = |s| -s.abs();
-        // Factors alone, where fits agree; both together; neither. Fits alone do not tell that a lidar spins.
+        // Factors alone, where fits agree; both together; neither. Fits alone do not show that a lidar spins.
         assert_eq!(told((1.0, 0.1), -0.5, none, 1.0), by_azimuth(true));
         assert_eq!(told(unknown, 0.0, none, 0.2), Some(FittingTimes { times: NONE, is_clear: false }));
         assert_eq!(told((0.9, 0.3), 0.0, none, 0.3), by_azimuth(true));
         assert_eq!(told((0.9, 0.3), 0.0, none, 0.7), by_azimuth(false));
         assert_eq!(told((0.9, 0.4), 0.0, none, 1.0), None);
-        // Points move as recorded times say.
+        // Points move according to the recorded times.
         assert_eq!(told((0.5, 0.1), 0.5, |s| 1.0 - (s - 1.0).abs(), 1.0), None);
     }
 

@@ -1,19 +1,23 @@
-//! How much of the motion of a lidar is still in its clouds, and when in a turn which azimuth was measured.
+//! Estimates which part of the motion of a lidar is still in its clouds, and at which time of a turn each
+//! azimuth was measured.
 //!
-//! While a lidar turns it moves, so each point of a raw cloud is displaced by the motion between its own time and
-//! the middle of the turn. Drivers and authors of data sets may have taken that out already, and the cloud does not
-//! say so; nor does it say where the turn began and which way it went, since many drivers write the points in another
-//! order. All of that shows as soon as the lidar moves: the same surface is seen under another azimuth a few sweeps
-//! later, where the displacement is another one, so that sweeps do not fit rigidly.
+//! A lidar moves while it turns, so each point of a raw cloud is displaced by the motion between its own time
+//! and the middle of the turn. Drivers and authors of data sets may have de-skewed the clouds already, and a
+//! cloud does not say so. Nor does it say at which azimuth the turn began and in which direction the head
+//! turned, since many drivers write the points in another order. All of that becomes observable as soon as
+//! the lidar moves: a few sweeps later the same surface is seen under another azimuth, where the displacement
+//! differs, so that sweeps do not fit rigidly.
 //!
 //! A few sweeps are registered, point to plane, to those some sweeps before (`follow`). Each residual depends
-//! linearly on the times that the two azimuths are given, in units of the motion of one turn, which is estimated
-//! with the poses; so the times of all azimuths, and the *skew factors* of translation and of rotation (1: all motion is
-//! in the points, 0: none), follow from linear least squares with the poses eliminated (`evidence`). As nearest points are paired anew when
-//! points move, one step of that finds a third of the way; the factor is therefore where the step vanishes, on the
-//! line through the steps at 0 and at 1. Its standard deviation is that of sums over directions taken as
-//! independent. What the factors mean is believed if sweeps do not fit clearly better otherwise (`fit`). Where every other
-//! cloud is missing a turn takes half of the interval between clouds, and half of its motion is in the points (`hypotheses`).
+//! linearly on the times of the two azimuths, in units of the motion of one turn, which is estimated with the
+//! poses. So the times of all azimuths, and the *skew factors* of translation and of rotation (1: all motion
+//! is in the points, 0: none), follow from linear least squares with the poses eliminated (`evidence`). As
+//! nearest points are paired anew when points move, one such step finds only a third of the correction. The
+//! factor is therefore where the step vanishes, on the line through the steps at 0 and at 1. Its standard
+//! deviation is that of sums over directions taken as independent. The state that the factors imply is
+//! accepted unless sweeps fit clearly better with another one (`fit`). Where every other cloud is missing, a
+//! turn takes half of the interval between clouds, and half of the motion in that interval is in the points
+//! (`hypotheses`).
 
 mod beams;
 mod evidence;
@@ -37,68 +41,70 @@ pub(crate) use hypotheses::Times;
 #[cfg(test)]
 use times::RightTimes;
 
-/// Sweeps that are judged together.
+/// Number of sweeps in a batch, which are evaluated together.
 const SWEEPS_OF_A_BATCH: usize = 16;
-/// More batches with motion are not looked at.
+/// Maximum number of batches with motion that are evaluated.
 const MAX_BATCHES: usize = 5;
-/// A factor with a smaller standard deviation is known.
+/// Standard deviation of a factor below which it counts as known.
 const SURE: f64 = 0.12;
-/// A factor this near to 0 or 1 is 0 or 1.
+/// Distance of a factor from 0 or 1 up to which it counts as 0 or 1.
 const NEAR: f64 = 0.35;
-/// One between must be known so much better, for hardly anybody takes out a part.
+/// Standard deviation below which a factor between 0 and 1 counts as known. It is smaller than [`SURE`], as
+/// clouds that were de-skewed in part are rare.
 const SURE_OF_PART: f64 = 0.05;
-/// Directions are not quite independent: on real and simulated recordings factors scatter so much more.
+/// Factor by which formal standard deviations are enlarged: directions are not quite independent, and the
+/// factors of real and simulated recordings scatter this much more.
 const INFLATION: f64 = 1.5;
-/// Seams are searched anew at most so many times.
+/// Maximum number of searches for a better seam, the azimuth at which turns begin.
 const SEAM_ROUNDS: usize = 2;
 
-/// What clouds tell about the motion that is in them.
+/// Estimate of the motion that is still in the clouds.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Skew {
-    /// How much of the translation is in the points.
+    /// Skew factor of the translation.
     pub translation: SkewFactor,
-    /// How much of the rotation is in the points.
+    /// Skew factor of the rotation.
     pub rotation: SkewFactor,
     /// Azimuth at which turns begin, in the frame of the lidar, radians from −π to π. Without meaning if points have
     /// times.
     pub begin_radians: f32,
     /// Whether the head turns clockwise, seen from above. Without meaning if points have times.
     pub is_clockwise: bool,
-    /// How long a turn takes, in intervals between clouds: 1, or less where clouds are missing again and again. Factors are in units of
-    /// the motion during a turn.
+    /// Duration of a turn, in intervals between clouds: 1, or less where clouds are missing regularly.
+    /// Factors are in units of the motion during a turn.
     pub turn_in_intervals: f64,
-    /// Whether sweeps fit better if the motion in their points is taken for another one than the factors say.
+    /// Whether sweeps fit better with another motion in their points than the one that the factors imply.
     pub is_contradicted: bool,
-    /// What the elevations of all beams are off by, once it is known how much of the motion is in the points.
+    /// Offset of the elevations of all beams, once it is known which part of the motion is in the points.
     pub elevation: Option<ElevationOffset>,
 }
 
-/// How much of a motion is in the points: 1 if it is that of the whole turn, 0 if it was taken out.
+/// Part of a motion that is in the points: 1 for the motion of the whole turn, 0 if the cloud was de-skewed.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct SkewFactor {
     /// The factor.
     pub factor: f64,
     /// Its standard deviation.
     pub sigma: f64,
-    /// The largest factor that is likely, whatever the turn.
+    /// Largest likely factor over all turns (begin and direction).
     pub at_most: f64,
 }
 
-/// What a [`Skew`] means.
+/// Conclusion from a [`Skew`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SkewState {
-    /// Points are where they were seen from while the lidar moved on.
+    /// Points are as measured, displaced by the motion of the lidar during the sweep.
     Raw,
-    /// Points are as seen from one place.
+    /// Points are de-skewed: as if measured from one pose.
     Removed,
-    /// Something between.
+    /// Part of the motion is in the points.
     Partial,
-    /// There was too little motion, or too few surfaces.
+    /// There was too little motion, or there were too few surfaces.
     Unknown,
 }
 
 impl SkewFactor {
-    /// What it means, if a turn takes so many intervals between clouds.
+    /// State that the factor implies. `turn_in_intervals`: duration of a turn in intervals between clouds.
     fn state(&self, turn_in_intervals: f64) -> SkewState {
         if self.sigma.is_nan() || self.sigma * turn_in_intervals > SURE {
             SkewState::Unknown
@@ -113,16 +119,16 @@ impl SkewFactor {
         }
     }
 
-    /// In units of the motion during such a part of what they were in units of.
+    /// The same factor in units of the motion during the fraction `part` of its present unit.
     fn of_part(self, part: f64) -> Self {
-        // Where time runs backwards nothing is known of the largest.
+        // With a negative part, where time runs backwards, there is no upper bound.
         let at_most = if part > 0.0 { self.at_most / part } else { f64::INFINITY };
         Self { factor: self.factor / part, sigma: self.sigma / part.abs(), at_most }
     }
 }
 
 impl Skew {
-    /// What it means.
+    /// State that both factors imply.
     pub fn state(&self) -> SkewState {
         if self.is_contradicted {
             return SkewState::Unknown;
@@ -135,12 +141,12 @@ impl Skew {
         }
     }
 
-    /// One factor for the whole motion: the mean, weighted by how sure the two are.
+    /// One factor for the whole motion: the mean, weighted by the information of the two.
     fn combined(&self) -> SkewFactor {
         let (a, b) = (self.translation, self.rotation);
         let weight = |part: &SkewFactor| if part.sigma.is_finite() { part.sigma.powi(-2) } else { 0.0 };
         let (of_a, of_b) = (weight(&a), weight(&b));
-        // Not known at all: its factor may be anything.
+        // A factor without information may have any value and is left out.
         let mean = |a: f64, b: f64| {
             if of_b == 0.0 {
                 a
@@ -157,7 +163,7 @@ impl Skew {
         }
     }
 
-    /// In units of the motion during such a part of what they were in units of.
+    /// The same factors in units of the motion during the fraction `part` of their present unit.
     pub(crate) fn of_part(self, part: f64) -> Self {
         let (translation, rotation) = (self.translation.of_part(part), self.rotation.of_part(part));
         Self { translation, rotation, ..self }
@@ -168,19 +174,19 @@ impl Skew {
         self.combined().factor > 0.5
     }
 
-    /// Whether it is clear where turns begin and which way they go: raw clouds tell that.
+    /// Whether the begin and the direction of turns are known: only raw clouds determine them.
     pub(crate) fn is_turn_known(&self) -> bool {
         matches!(self.state(), SkewState::Raw | SkewState::Partial)
     }
 
-    /// How the lidar turns.
+    /// How the lidar turns: begin, direction and duration.
     pub(crate) fn turn(&self) -> Turn {
         let Self { begin_radians, is_clockwise, turn_in_intervals, .. } = *self;
         Turn { begin_radians, is_clockwise, in_intervals: turn_in_intervals }
     }
 }
 
-/// Collects sweeps until they tell.
+/// Collects sweeps until they determine the skew.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct SkewEstimator {
     pending: Vec<Sample>,
@@ -191,14 +197,14 @@ pub(crate) struct SkewEstimator {
     last: Option<Time>,
     /// Edge of the voxels that thin sweeps, metres; follows from the sweeps before.
     edge: f32,
-    /// Whether sweeps were seen from one place.
+    /// Whether the lidar stood still during some batch.
     stood: bool,
     skew: Option<Skew>,
-    /// Whether the motion was taken out by recorded times, and azimuths leave that open.
+    /// Whether recorded times gave the state `Removed`, but times by azimuth leave the state unknown.
     is_open: bool,
 }
 
-/// Sweeps that follow each other, registered as they came.
+/// Consecutive sweeps, registered as they came.
 #[derive(Clone, Debug)]
 struct Batch {
     samples: Vec<Sample>,
@@ -206,8 +212,8 @@ struct Batch {
 }
 
 impl SkewEstimator {
-    /// Takes the points of the next sweep, in the frame of the lidar, metres, each with the share of the sweep that
-    /// had passed (0 to 1) if that is known. Sweeps must follow each other.
+    /// Adds the points of the next sweep, in the frame of the lidar, metres. `shares` are the times of the
+    /// points as fractions of the sweep (0 to 1), if known. Sweeps must be consecutive.
     pub fn add(&mut self, stamp: Time, points: &[Point3f], shares: Option<&[f32]>) {
         if self.is_done() {
             return;
@@ -225,7 +231,7 @@ impl SkewEstimator {
         }
     }
 
-    /// Whether more sweeps would tell nothing new.
+    /// Whether more sweeps would add no information.
     pub fn is_done(&self) -> bool {
         let is_open = |offset: ElevationOffset| !offset.is_clear() && offset.may_be_there();
         let is_known = |skew: Skew| {
@@ -234,12 +240,12 @@ impl SkewEstimator {
         self.batches.len() >= MAX_BATCHES || self.skew.is_some_and(is_known)
     }
 
-    /// Whether the lidar stood as long as it was looked at.
+    /// Whether the lidar stood still in all batches so far.
     pub fn only_stood(&self) -> bool {
         self.stood && self.batches.is_empty()
     }
 
-    /// What is known by now; none as long as nothing moved.
+    /// Current estimate; none as long as nothing moved.
     pub fn skew(&self) -> Option<Skew> {
         self.skew
     }
@@ -257,13 +263,14 @@ impl SkewEstimator {
         }
     }
 
-    /// What is known by now, and whether azimuths leave it open.
+    /// Current estimate, and whether times by azimuth leave the state unknown.
     fn estimate(&self) -> Option<(Skew, bool)> {
         let Judged { mut skew, times, deskewed } = match self.has_times {
             true => self.judged(TurnTimes::RECORDED)?,
             false => self.judged_by_azimuth()?,
         };
-        // By their times points are as if seen from one place; that may be because these are of other points.
+        // With recorded times the points look de-skewed. That may also be because the times are wrong, those
+        // of other points.
         let may_be_raw = self.has_times && skew.state() == SkewState::Removed;
         let by_azimuth = if may_be_raw { self.other_state_by_azimuth() } else { None };
         skew.is_contradicted = matches!(by_azimuth, Some(SkewState::Raw | SkewState::Partial))
@@ -277,7 +284,7 @@ impl SkewEstimator {
     }
 }
 
-/// What is in the points if they were measured at such times, and the sweeps with that motion taken out.
+/// Skew estimated with given times of the points, and the sweeps de-skewed with these times.
 struct Judged {
     skew: Skew,
     times: TurnTimes,
@@ -296,7 +303,7 @@ impl SkewEstimator {
         Some(Judged { skew: skew(at_none, at_all, largest, times), times, deskewed })
     }
 
-    /// The same by azimuth, with the turn that is most likely.
+    /// The same with times by azimuth, for the most likely turn.
     fn judged_by_azimuth(&self) -> Option<Judged> {
         let mut judged = self.judged(evidence::most_likely_turn(&self.pairs_as_is())?)?;
         for _ in 0..SEAM_ROUNDS {
@@ -316,7 +323,8 @@ impl SkewEstimator {
         self.batches.iter().flat_map(|batch| &batch.as_is.pairs).collect()
     }
 
-    /// Whether sweeps fit better as they came although they are said to be raw, or the other way round.
+    /// Whether sweeps that are estimated to be raw fit better as they came, or sweeps that are estimated to
+    /// be de-skewed fit better with motion taken out.
     fn is_contradicted(&self, state: SkewState, deskewed: &[Followed]) -> bool {
         let fits_worse_as_is = |deskewed: &[Followed]| fit::is_better(&self.as_is(), deskewed);
         match state {
@@ -334,8 +342,8 @@ impl SkewEstimator {
         }
     }
 
-    /// The same turn in a part of the interval between clouds, with the sweeps as they are then, if that is what factors say and sweeps fit
-    /// clearly better so.
+    /// The same turn in a part of the interval between clouds, with the sweeps de-skewed accordingly, if the
+    /// factors suggest it and sweeps then fit clearly better.
     fn shorter_turn(&self, judged: &Judged) -> Option<(TurnTimes, Vec<Followed>)> {
         let one_in = hypotheses::one_cloud_in(&judged.skew, self.interval);
         let times = TurnTimes { part: one_in?.recip(), ..judged.times };
@@ -343,7 +351,7 @@ impl SkewEstimator {
         fit::is_better(&judged.deskewed, &shorter).then_some((times, shorter))
     }
 
-    /// All sweeps with the motion of such turns taken out; none if they do not fit then.
+    /// All sweeps de-skewed with these times; none if they cannot be registered then.
     fn deskewed(&self, times: TurnTimes) -> Option<Vec<Followed>> {
         self.batches.iter().map(|batch| batch.deskewed(times)).collect()
     }
@@ -363,7 +371,7 @@ impl Batch {
     }
 }
 
-/// Where the steps vanish, given those at a factor of 0 and of 1 and the largest that is likely at 0.
+/// Zero of the steps on the line through those at factors 0 and 1. `largest` is the largest likely step at 0.
 fn skew(at_none: Step, at_all: Step, largest: Vector2, times: TurnTimes) -> Skew {
     let part = |part: fn(Vector2) -> f64| {
         let (none, all) = (part(at_none.factors), part(at_all.factors));
@@ -371,7 +379,7 @@ fn skew(at_none: Step, at_all: Step, largest: Vector2, times: TurnTimes) -> Skew
         let largest = part(largest);
         let slope = none - all;
         let factor = none / slope;
-        // Each of the two is uncertain, and shifts the zero by its share.
+        // Both steps are uncertain, and each shifts the zero in proportion to its weight.
         let sigma = ((1.0 - factor) * of_none).hypot(factor * of_all) / slope.abs();
         let is_told = slope > 2.0 * of_none.hypot(of_all);
         SkewFactor { factor, sigma: if is_told { sigma } else { f64::INFINITY }, at_most: largest / slope }

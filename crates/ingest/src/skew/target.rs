@@ -1,4 +1,4 @@
-//! A sweep that others are registered to, point to plane.
+//! Point-to-plane registration to a sweep.
 
 use std::cell::OnceCell;
 
@@ -6,29 +6,36 @@ use portolan_geometry::nalgebra::{Matrix6, Point3, Vector6};
 use portolan_geometry::{Rigid3, Vector3, quaternion_from_angle_axis};
 use portolan_spatial::{KdTree, LocalSurface, Neighbour, local_surface};
 
-/// Neighbours that make a surface, metres; how thick it may be, and how planar it must be.
+/// Number of neighbours that define a local surface.
 const NEIGHBOURS: usize = 10;
+/// Radius of the neighbourhood of a surface, metres.
 const NEIGHBOURHOOD: f32 = 1.5;
+/// Maximum thickness of a surface, metres.
 const MAX_THICKNESS: f32 = 0.05;
+/// Minimum planarity of a surface.
 const MIN_PLANARITY: f32 = 0.05;
-/// Nearest points are paired nearer and nearer, down to within this, metres.
+/// Final distance within which nearest points are paired, metres. The distance shrinks to it from iteration
+/// to iteration.
 pub(super) const LAST_GATE: f64 = 0.3;
+/// Factor by which that distance shrinks in each iteration.
 const GATE_SHRINKS: f64 = 0.7;
+/// Maximum number of iterations.
 const ITERATIONS: usize = 9;
+/// Norm of the pose change (metres and radians) below which the registration has converged.
 const CONVERGED: f64 = 1e-3;
-/// While points are paired from afar one in so many suffices.
+/// Stride of the points that are used while points are paired at larger distances.
 pub(super) const FEWER: usize = 3;
 /// The least scale of the robust loss, metres.
 pub(super) const LEAST_SCALE: f64 = 0.03;
-/// Fewer matched points tell nothing.
+/// Minimum number of matched points.
 const MIN_MATCHED: usize = 30;
 
 /// A sweep that others are registered to.
 pub(super) struct Target {
     points: Vec<[f32; 3]>,
-    /// Of its points; the last sweeps of a batch need none, because no sweep is registered to them.
+    /// Tree of its points. The last sweeps of a batch need none, because no sweep is registered to them.
     tree: OnceCell<KdTree>,
-    /// At its points; those that were not asked for are not computed.
+    /// Surfaces at its points; they are computed on demand.
     pub surfaces: Vec<Surface>,
 }
 
@@ -44,7 +51,7 @@ pub(super) struct Match {
     /// Indices of the points in their samples.
     pub source: usize,
     pub target: u32,
-    /// Where the source point is in the frame of the target.
+    /// Position of the source point in the frame of the target.
     pub place: Vector3,
     pub normal: Vector3,
     pub residual: f64,
@@ -60,7 +67,7 @@ impl Target {
         self.tree.get_or_init(|| KdTree::new(&self.points))
     }
 
-    /// One of its points and the surface there.
+    /// A point and the surface there.
     fn surface(&mut self, index: u32) -> Option<(Vector3, LocalSurface)> {
         let point = *self.points.get(index as usize)?;
         let known = self.surfaces.get_mut(index as usize)?;
@@ -76,8 +83,8 @@ impl Target {
         }
     }
 
-    /// Points of a sweep on surfaces of this one, in the order of the sweep. What was matched before, in the same order, is looked
-    /// for from there.
+    /// Points of a sweep on surfaces of this one, in the order of the sweep. The search starts from the
+    /// matches `before`, which are in the same order.
     pub fn matches(
         &mut self,
         source: &[(usize, Vector3)],
@@ -102,7 +109,7 @@ impl Target {
         matches
     }
 
-    /// The nearest of its points, sooner if the one that was the nearest before still is near.
+    /// Nearest point. The search is faster if the previous nearest point `last` is still near.
     fn nearest(&self, place: [f32; 3], gate: f32, last: Option<u32>) -> Option<Neighbour> {
         let position = last.and_then(|last| Some((last, *self.points.get(last as usize)?)));
         match position {
@@ -113,7 +120,7 @@ impl Target {
         }
     }
 
-    /// The pose of a sweep in the frame of this one; none if hardly anything fits.
+    /// Pose of a sweep in the frame of this one; none if too few points match.
     pub fn register(&mut self, source: &[(usize, Vector3)], guess: Rigid3, gate: f64) -> Option<Rigid3> {
         let (mut pose, mut gate) = (guess, gate);
         let few: Vec<(usize, Vector3)> = source.iter().step_by(FEWER).copied().collect();
@@ -144,7 +151,7 @@ impl Target {
 }
 
 impl Target {
-    /// The pose of a sweep in the frame of this one, and how many points fit.
+    /// Pose of a sweep in the frame of this one, and the weighted number of points that fit.
     pub fn registered(
         &mut self,
         source: &[(usize, Vector3)],
@@ -158,7 +165,8 @@ impl Target {
 }
 
 impl Match {
-    /// Of the residual by a small translation and rotation of the source in the frame of the target.
+    /// Derivative of the residual by a small translation and rotation of the source in the frame of the
+    /// target.
     pub fn jacobian(&self) -> Vector6<f64> {
         let turn = self.place.cross(&self.normal);
         Vector6::new(self.normal.x, self.normal.y, self.normal.z, turn.x, turn.y, turn.z)

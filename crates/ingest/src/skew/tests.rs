@@ -3,7 +3,7 @@ use portolan_geometry::{Duration, Rigid3, Vector3, nalgebra::Point3, quaternion_
 use super::*;
 use crate::beam_elevation::Raise;
 
-/// Boxes from a corner to the opposite one, metres: a hall, and what stands in it.
+/// Boxes from a corner to the opposite one, metres: a hall and the objects in it.
 const HALL: [[f64; 3]; 2] = [[-9.0, -6.0, 0.0], [14.0, 7.0, 4.0]];
 const THINGS: [[[f64; 3]; 2]; 5] = [
     [[-3.0, 3.0, 0.0], [-1.5, 4.5, 2.5]],
@@ -26,7 +26,7 @@ fn distance(corners: &[[f64; 3]; 2], from: &Vector3, direction: &Vector3, is_ins
     if is_inside { Some(leave) } else { (enter < leave && enter > 0.0).then_some(enter) }
 }
 
-/// Somebody walks through the hall and looks about.
+/// A lidar moves through the hall and rotates.
 fn pose(seconds: f64) -> Rigid3 {
     let place =
         Vector3::new(-2.0 + 1.3 * seconds, 0.6 * (0.9 * seconds).sin(), 1.4 + 0.03 * (12.0 * seconds).sin());
@@ -38,8 +38,9 @@ fn pose(seconds: f64) -> Rigid3 {
     Rigid3::from_parts(place.into(), quaternion_from_angle_axis(&turn))
 }
 
-/// A sweep of a head that begins at the left and turns clockwise, with the share of the motion in it; points ordered by
-/// ring from ahead, as many drivers write them. With the share of the turn at which each was measured.
+/// A sweep of a head that begins at the left and turns clockwise, with a fraction of the motion in it. Points
+/// are ordered by ring from ahead, as many drivers write them. Each comes with the fraction of the turn at
+/// which it was measured.
 fn sweep(index: usize, factor: f64, motion: impl Fn(f64) -> Rigid3) -> (Vec<Point3f>, Vec<f32>) {
     let middle = (index as f64 + 0.5) * PERIOD;
     let mut points = Vec::new();
@@ -58,7 +59,7 @@ fn sweep(index: usize, factor: f64, motion: impl Fn(f64) -> Rigid3) -> (Vec<Poin
             let things = THINGS.iter().filter_map(|thing| distance(thing, &from, &direction, false));
             let hall = distance(&HALL, &from, &direction, true);
             let nearest = things.chain(hall).fold(f64::INFINITY, f64::min);
-            // Noise of a centimetre that repeats for nobody.
+            // Noise of a centimetre that is different at each point.
             let noise = 0.01 * ((index * 7919 + ring * 104_729 + column * 1_299_709) as f64 * 0.618).sin();
             points.push((Point3::from(beam * (nearest + noise)).cast::<f32>(), share as f32));
         }
@@ -135,10 +136,10 @@ fn times_that_are_wrong_are_told_and_right_ones_are_left() {
     }
 }
 
-/// What is done to the shares of a sweep.
+/// How the times of the points (fractions of the sweep) are changed.
 type Spoiler = Box<dyn Fn(&mut [f32])>;
 
-/// The share of another point of the sweep.
+/// The fraction of another point of the sweep.
 fn of_another(shares: &mut [f32]) {
     for index in 0..shares.len() {
         shares.swap(index, index * 7919 % shares.len());
@@ -168,7 +169,7 @@ fn times_of_other_points_and_of_other_turns_are_told_from_those_of_the_azimuth()
         };
         let degrees = turn.begin_radians.to_degrees();
         assert!(turn.is_clockwise && (degrees - 90.0).abs() <= 10.0, "{case}: {turn:?}");
-        // What does not spin has no times by azimuth.
+        // A lidar that does not spin has no times by azimuth.
         let told = estimator.right_times(&skew, 1.0, false);
         assert!(!matches!(told, Some(RightTimes { times: Times::ByAzimuth(_), .. })), "{case}: {told:?}");
     }

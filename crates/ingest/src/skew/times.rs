@@ -1,4 +1,5 @@
-//! Whether the times of points are right, as sweeps tell whose motion is taken out by them and otherwise.
+//! Decides whether the times of points are right, by comparing sweeps de-skewed with them and with other
+//! times.
 
 use std::f32::consts::TAU;
 
@@ -8,26 +9,28 @@ use super::hypotheses::{self, AzimuthWitness, Fits, FittingTimes, Times};
 use super::{Judged, Skew, SkewEstimator, SkewState, beams, fit, pairs};
 use crate::beam_elevation::ElevationOffset;
 
-/// Times by azimuth are the recorded ones if the two are so much alike (coefficient of correlation, mean resultant length).
+/// Likeness from which times by azimuth count as the recorded ones (coefficient of correlation, mean
+/// resultant length).
 const SAME_TIMES: f64 = 0.9;
 
-/// A lidar that turns sees something in each of so many directions.
+/// Number of azimuth sectors, all of which must hold points of a spinning lidar.
 const SECTORS: usize = 24;
 
-/// The times of points where those that were recorded are wrong, with the elevations of beams.
+/// Times of points where the recorded ones are wrong, and the elevation offset of the beams.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RightTimes {
-    /// What they are.
+    /// The times.
     pub times: Times,
-    /// Whether it is clear that this is right, not only that times are wrong as they are.
+    /// Whether these times are clearly right. Otherwise it is only clear that the recorded ones are wrong.
     pub is_clear: bool,
-    /// What the elevations of all beams are off by, if that is clear.
+    /// Offset of the elevations of all beams, if it is clear.
     pub elevation: Option<ElevationOffset>,
 }
 
 impl SkewEstimator {
-    /// What the times of points are, if not what was recorded. These span such a share of the interval between
-    /// clouds, and the skew is in units of the motion during that. A lidar that spins may have others by azimuth.
+    /// Times of the points where the recorded ones are wrong. These span the fraction `duty` of the interval
+    /// between clouds, and the skew is in units of the motion during that time. For a lidar that `spins`,
+    /// times by azimuth are tried as well.
     pub fn right_times(&self, skew: &Skew, duty: f64, spins: bool) -> Option<RightTimes> {
         let is_settled = hypotheses::is_whole_turn(duty)
             && !self.is_open
@@ -56,7 +59,7 @@ impl SkewEstimator {
         Some(RightTimes { times, is_clear, elevation })
     }
 
-    /// The most likely turn, if the times of its azimuths are others than those recorded.
+    /// Most likely turn, if its times by azimuth differ from the recorded ones.
     fn other_times_by_azimuth(&self, duty: f64) -> Option<(Judged, AzimuthWitness)> {
         let judged = self.judged_by_azimuth()?;
         let alike = self.alike(judged.times)?;
@@ -64,7 +67,8 @@ impl SkewEstimator {
         (alike.correlation.abs() < SAME_TIMES).then_some((judged, witness))
     }
 
-    /// What azimuths say of the motion in points; none if they say the same as recorded times, or do not go all around.
+    /// State of the skew with times by azimuth; none if they equal the recorded ones, or if azimuths do not
+    /// cover the full circle.
     pub(super) fn other_state_by_azimuth(&self) -> Option<SkewState> {
         if !self.sees_all_around() {
             return None;
@@ -83,13 +87,13 @@ impl SkewEstimator {
         seen.iter().all(|seen| *seen)
     }
 
-    /// Whether sweeps say that turns begin elsewhere than by recorded times, whose motion was taken out.
+    /// Whether sweeps, de-skewed with recorded times, show another begin of turns than these times do.
     pub(super) fn turns_begin_elsewhere(&self, deskewed: &[Followed]) -> bool {
         let better = self.recorded_turn().and_then(|turn| evidence::better_turn(&pairs(deskewed), turn));
         better.and_then(|turn| self.alike(turn)).is_some_and(|alike| alike.correlation < SAME_TIMES)
     }
 
-    /// How the lidar turns by recorded times, if azimuths follow from them.
+    /// How the lidar turns according to recorded times, if azimuth and recorded time correspond.
     fn recorded_turn(&self) -> Option<TurnTimes> {
         let phases = || self.batches.iter().flat_map(|b| &b.samples).flat_map(|sample| &sample.phases);
         let mean = |sense: f32| {
@@ -101,7 +105,7 @@ impl SkewEstimator {
         (alike > SAME_TIMES).then_some(turn)
     }
 
-    /// How recorded shares of the sweep go with those of such a turn.
+    /// Correlation of the recorded fractions of the sweep with those of such a turn.
     fn alike(&self, turn: TurnTimes) -> Option<Alike> {
         let samples = self.batches.iter().flat_map(|batch| &batch.samples);
         let shares = |sample: &Sample| -> Vec<[f64; 2]> {
@@ -112,11 +116,11 @@ impl SkewEstimator {
     }
 }
 
-/// How one value goes with another one.
+/// Linear relation of two values.
 #[derive(Clone, Copy, Debug)]
 struct Alike {
     correlation: f64,
-    /// By how much the second one grows with the first one.
+    /// Slope of the second value by the first one.
     slope: f64,
 }
 
@@ -136,7 +140,7 @@ impl Alike {
     }
 }
 
-/// Sweeps by what the times of their points are.
+/// Registered sweeps for each candidate of the times of their points.
 struct FitsOfTimes(Vec<(Times, TurnTimes, Vec<Followed>)>);
 
 impl FitsOfTimes {

@@ -1,4 +1,4 @@
-//! Taking recorded transforms into the tree.
+//! Inserts recorded transforms into the tree.
 
 use portolan_geometry::pose_from_xyz_quaternion;
 use portolan_issue::{Issue, IssueKind, IssueLog};
@@ -6,12 +6,12 @@ use portolan_recording::{TfMessage, TransformStamped};
 
 use super::TfTree;
 
-/// A frame's name as the tree has it: without a leading slash.
+/// Name of a frame in the tree: without a leading slash.
 pub fn frame_name(name: &str) -> &str {
     name.strip_prefix('/').unwrap_or(name)
 }
 
-/// Takes transforms of a recording into a [`TfTree`] and counts those that cannot be used.
+/// Inserts transforms of a recording into a [`TfTree`] and counts those that cannot be used.
 #[derive(Clone, Debug)]
 pub struct TfInput {
     /// Transforms with this parent are results of mapping, not input.
@@ -25,7 +25,7 @@ impl TfInput {
         Self { map_frame: frame_name(map_frame).to_owned(), issues: IssueLog::default() }
     }
 
-    /// Takes all transforms of a message.
+    /// Inserts all transforms of a message.
     pub fn insert(&mut self, tree: &mut TfTree, message: &TfMessage) {
         for transform in &message.transforms {
             self.insert_one(tree, transform, message.is_static);
@@ -57,12 +57,12 @@ impl TfInput {
         inserted.err().iter().for_each(|error| self.add(error.issue()));
     }
 
-    /// Counts something that was seen elsewhere.
+    /// Counts an issue that was found elsewhere.
     pub(crate) fn add(&mut self, issue: Issue) {
         self.issues.add(issue);
     }
 
-    /// What could not be used so far.
+    /// Issues of transforms that could not be used so far.
     pub fn issues(&self) -> &IssueLog {
         &self.issues
     }

@@ -1,4 +1,4 @@
-//! The tree of transforms: static and moving frames, and lookups between any two of them.
+//! A tree of transforms: static and moving frames, and lookups between any two of them.
 
 mod input;
 mod text;
@@ -10,37 +10,38 @@ pub use input::{TfInput, frame_name};
 use portolan_geometry::{Duration, Quaternion, Rigid3, Time, TransformBuffer};
 use portolan_issue::{Issue, IssueKind};
 
-/// Most poses that are kept of one moving frame.
+/// Maximum number of poses that are kept of one moving frame.
 const BUFFER_POSES: usize = 100_000;
-/// Poses that differ by less are the same (metres, radians).
+/// Difference below which two poses are the same (metres, radians).
 const SAME_PLACE: f64 = 1e-9;
-/// Places of moving frames are looked up in so many steps over what is known of them.
+/// Number of steps over the known time span at which poses of moving frames are looked up.
 const LOOKED_UP_OFTEN: i32 = 64;
-/// Most frames of a tree; only damaged recordings have more.
+/// Maximum number of frames of a tree; only damaged recordings have more.
 const MAX_FRAMES: usize = 5000;
 
-/// Words in the names of frames that move against every sensor, by convention of programs for mapping.
+/// Words in the names of world-fixed frames, which move against every sensor, by convention of mapping
+/// programs.
 const WORDS_OF_FIXED_FRAMES: [&str; 5] = ["map", "odom", "world", "earth", "global"];
 /// A name of such a frame without any of them.
 const CAMERA_INIT: &str = "camera_init";
 
-/// Whether a frame is called like one that stays where it is while robots move. Robots put their name before it.
+/// Whether a frame has the name of a world-fixed frame. Robots put their name before it.
 pub fn is_fixed_frame(frame: &str) -> bool {
     let name = frame.rsplit('/').next().unwrap_or(frame);
     name == CAMERA_INIT || name.split('_').any(|word| WORDS_OF_FIXED_FRAMES.contains(&word))
 }
 
-/// Why a transform is not to be had, or was not taken into the tree.
+/// Reasons why a transform is unknown, or was not inserted into the tree.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TfError {
-    /// A frame nobody mentioned.
+    /// A frame that no transform names.
     #[error(
         "frame \"{frame}\" is not in the transform tree, which has {known}; give its place with a URDF, or choose another frame"
     )]
     UnknownFrame {
         /// The frame.
         frame: String,
-        /// The frames there are.
+        /// The known frames.
         known: String,
     },
     /// Two frames in different trees.
@@ -48,9 +49,9 @@ pub enum TfError {
         "no transforms connect \"{target}\" (below \"{target_root}\") with \"{origin}\" (below \"{origin_root}\"); give the missing one with a URDF"
     )]
     NotConnected {
-        /// Frame asked for.
+        /// Requested target frame.
         target: String,
-        /// Frame it was asked from.
+        /// Requested source frame.
         origin: String,
         /// Root of the tree of the target.
         target_root: String,
@@ -64,7 +65,7 @@ pub enum TfError {
         child: String,
         /// Its parent.
         parent: String,
-        /// Time asked for.
+        /// Requested time.
         time: Time,
         /// "from … to …" or "nowhere".
         span: String,
@@ -107,7 +108,7 @@ fn second_parent(child: &str, parent: &str, second: &str) -> Issue {
 }
 
 impl TfError {
-    /// As an issue, where a transform could not be taken.
+    /// The error as an issue, where a transform could not be inserted.
     pub fn issue(&self) -> Issue {
         match self {
             Self::Loop { frames } => transform_loop(frames),
@@ -125,7 +126,7 @@ enum Motion {
     Moving(Moving),
 }
 
-/// Poses of a frame that comes again and again.
+/// Poses of a frame that is sent repeatedly.
 #[derive(Clone, Debug)]
 struct Moving {
     buffer: TransformBuffer,
@@ -145,7 +146,7 @@ impl Moving {
         self.buffer.push(time, parent_from_child);
     }
 
-    /// Interpolated; a frame that never moved is where it is at any time.
+    /// Interpolated pose; a frame that never moved has the same pose at any time.
     fn lookup(&self, time: Time) -> Option<Rigid3> {
         self.buffer.lookup(time).or(self.unchanged)
     }
@@ -163,7 +164,7 @@ struct Frame {
     edge: Option<Edge>,
 }
 
-/// Frames and their places. Every frame has at most one parent.
+/// Frames and their poses. Every frame has at most one parent.
 #[derive(Clone, Debug, Default)]
 pub struct TfTree {
     frames: Vec<Frame>,
@@ -176,7 +177,7 @@ impl TfTree {
         Self::default()
     }
 
-    /// Whether the frame was ever mentioned.
+    /// Whether any transform names the frame.
     pub fn has_frame(&self, name: &str) -> bool {
         self.index.contains_key(name)
     }
@@ -186,10 +187,10 @@ impl TfTree {
         self.index.keys().map(|name| &**name)
     }
 
-    /// Places `child` in `parent` for all times. What is already there stays: the first one counts.
+    /// Sets the pose of `child` in `parent` for all times. An existing pose stays: the first one counts.
     ///
     /// # Errors
-    /// If the frame is in another one already, if the frames would go in a circle, or if there are too many.
+    /// If the frame has another parent already, if the frames would form a loop, or if there are too many.
     pub fn insert_static(
         &mut self,
         parent: &str,
@@ -204,7 +205,7 @@ impl TfTree {
         Ok(())
     }
 
-    /// Places `child` in `parent` at one time. A static frame stays as it is.
+    /// Sets the pose of `child` in `parent` at one time. A static frame stays unchanged.
     ///
     /// # Errors
     /// As for [`Self::insert_static`].
@@ -269,7 +270,7 @@ impl TfTree {
         self.frames.get(frame).map_or("", |frame| &frame.name)
     }
 
-    /// What places a frame in its parent; none for a root.
+    /// The edge from a frame to its parent; none for a root.
     fn edge(&self, frame: usize) -> Option<&Edge> {
         self.frames.get(frame)?.edge.as_ref()
     }
@@ -317,9 +318,9 @@ impl TfTree {
         Ok((up, down))
     }
 
-    /// `target_from_source` at `time`: takes coordinates in `source` to coordinates in `target`.
-    /// Moving frames are interpolated; times outside of what is known are an error, unless the frame has
-    /// never moved so far.
+    /// `target_from_source` at `time`: transforms coordinates in `source` to coordinates in `target`. Moving
+    /// frames are interpolated; times outside of the known span are an error, unless the frame has never
+    /// moved so far.
     ///
     /// # Errors
     /// If a frame is not known, the two are not connected, or one that moves is not known at this time.
@@ -362,8 +363,8 @@ impl TfTree {
         a == b || self.paths(a, b).is_ok()
     }
 
-    /// A frame between two of one tree that stays where it is while robots move, the first from `a`; none where no frame moves
-    /// between the two: then they move as one.
+    /// A world-fixed frame between two frames of one tree, the first from `a`. None where no frame moves
+    /// between the two: then they are rigidly connected.
     pub fn fixed_frame_between(&self, a: &str, b: &str) -> Option<&str> {
         let (up, down) = self.paths(a, b).ok()?;
         if self.lookup_static(a, b).is_some() {
@@ -378,7 +379,7 @@ impl TfTree {
         path.find(|frame| ![a, b].contains(&name(*frame)) && is_fixed_frame(name(*frame))).map(name)
     }
 
-    /// `target_from_source` if no moving frame lies between the two.
+    /// `target_from_source` if there is no moving frame between the two.
     pub fn lookup_static(&self, target: &str, source: &str) -> Option<Rigid3> {
         if target == source {
             return Some(Rigid3::identity());
@@ -390,8 +391,8 @@ impl TfTree {
         (fixed(&up) && fixed(&down)).then(|| self.lookup(target, source, Time::MIN).ok()).flatten()
     }
 
-    /// `target_from_source` at times that are spread evenly over what is known of moving frames between the two; once if none
-    /// is between them.
+    /// `target_from_source` at times that are spread evenly over the known span of moving frames between the
+    /// two; once if there is none between them.
     pub fn lookup_often(&self, target: &str, source: &str) -> Vec<Rigid3> {
         let Ok((up, down)) = self.paths(target, source) else { return Vec::new() };
         let buffers = up.iter().chain(&down).filter_map(|frame| match &self.edge(*frame)?.motion {

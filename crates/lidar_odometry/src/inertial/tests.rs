@@ -8,16 +8,16 @@ fn time(seconds: f64) -> Time {
     Time::from_ticks(0) + Duration::from_seconds(seconds)
 }
 
-/// Who walks, and with which IMU.
+/// A simulated walker, and the errors of the IMU.
 #[derive(Clone)]
 struct Walk {
-    /// Seconds after which it goes.
+    /// Time at which the walker starts, seconds.
     starts_at: f64,
-    /// How the local map leans.
+    /// Tilt of the local map.
     lean: Quaternion,
     accelerometer_bias: Vector3,
     gyroscope_bias: Vector3,
-    /// Of accelerations.
+    /// Scale factor of accelerations.
     scale: f64,
 }
 
@@ -29,7 +29,7 @@ impl Default for Walk {
 }
 
 impl Walk {
-    /// It speeds up to 1.5 m/s within a second, and walks on with gait, turning.
+    /// The walker accelerates to 1.5 m/s within a second, and walks on with gait, turning.
     fn pose(&self, t: f64) -> Rigid3 {
         let since = (t - self.starts_at).max(0.0);
         let way = if since < 1.0 { 0.75 * since * since } else { 0.75 + 1.5 * (since - 1.0) };
@@ -66,13 +66,13 @@ impl Walk {
     }
 }
 
-/// What it leaves of sweeps.
+/// Which sweeps and samples are missing or degenerate.
 #[derive(Clone, Copy)]
 struct Sweeps {
     seconds: f64,
-    /// From when on they leave the plane open.
+    /// Time from which on sweeps do not constrain the horizontal plane.
     blind_from: f64,
-    /// From when to when no samples come.
+    /// Times between which no samples come.
     gap: (f64, f64),
     /// Metres.
     noise: f64,
@@ -84,7 +84,7 @@ impl Default for Sweeps {
     }
 }
 
-/// The filter after sweeps, ten a second, begun with `up`; with it, where it ended.
+/// The filter after sweeps, ten a second, started with `up`; with the final time and position.
 fn after(walk: &Walk, sweeps: Sweeps, up: &Vector3, is_at_rest: bool) -> (InertialFilter, f64, Vector3) {
     let mut inertial = InertialFilter::new(&OdometrySettings::default());
     let (mut now, mut start) = (walk.pose(0.0), 0.0);
@@ -137,14 +137,14 @@ fn velocity_error(inertial: &InertialFilter, walk: &Walk, t: f64) -> f64 {
 fn who_starts_to_walk_where_scans_tell_nothing_is_followed() {
     let accelerometer_bias = Vector3::new(0.02, -0.01, 0.0);
     let walk = Walk { starts_at: 1.0, accelerometer_bias, ..Walk::default() };
-    // Told until it walks for a tenth of a second only.
+    // Poses are measured only until a tenth of a second after it starts to walk.
     let ended =
         |seconds| after(&walk, Sweeps { seconds, blind_from: 1.1, ..Sweeps::default() }, &Vector3::z(), true);
     let (inertial, end, place) = ended(3.0);
     let error = (place - walk.pose(end).translation.vector).norm();
     let velocity = velocity_error(&inertial, &walk, end);
     assert!(error < 0.35 && velocity < 0.25 && inertial.is_reliable(), "{error} m, {velocity} m/s");
-    // But not for ever.
+    // But not indefinitely.
     assert!(!ended(8.0).0.is_reliable());
 }
 
@@ -163,7 +163,7 @@ fn an_accelerometer_in_other_units_is_not_followed() {
     for is_at_rest in [true, false] {
         let (inertial, ..) = after(&walk, Sweeps::default(), &Vector3::z(), is_at_rest);
         assert!(!inertial.is_reliable());
-        // Nor does it tell where up is.
+        // Nor does it measure the vertical.
         let up = inertial.level_from_tracking(&Quaternion::identity()).unwrap() * Vector3::z();
         assert!(up.angle(&Vector3::z()) < 0.02, "{is_at_rest}: {up}");
     }
@@ -191,7 +191,8 @@ fn a_turn_that_no_gyroscope_has_is_no_bias() {
     assert!(inertial.estimate.unwrap().gyroscope_bias.norm() < 0.02);
 }
 
-/// How far off up is after so many seconds, radians, with accelerations first seen along `believed`.
+/// Error of the vertical after this time, seconds, in radians, with initial accelerations along
+/// `believed`.
 fn lean_after(seconds: f64, believed: &Vector3, gap: (f64, f64)) -> f64 {
     let lean = quaternion_from_angle_axis(&Vector3::new(0.1, 0.0, 0.0));
     let walk = Walk { lean, ..Walk::default() };
@@ -215,7 +216,8 @@ fn gaps_only_delay_it() {
     assert!(error < 0.006, "{error}");
 }
 
-/// Whether 0.3 s at rest are predicted if a sample is wrong by so much, m/s²; with and without samples after the first.
+/// Whether 0.3 s at rest are predicted if a sample has this error, m/s²; with and without samples after
+/// the first.
 fn predicts(wrong: f64, has_samples: bool) -> bool {
     let walk = Walk { starts_at: 9.0, ..Walk::default() };
     let mut inertial = InertialFilter::new(&OdometrySettings::default());

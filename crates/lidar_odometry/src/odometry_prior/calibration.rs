@@ -1,9 +1,10 @@
-//! By how much motions of odometry are to be corrected, and how far they are off then.
+//! Estimates the calibration and the noise of odometry.
 //!
-//! Wheels are of another size than said, odometry is mounted otherwise than said, or it measures in the plane while the platform
-//! drives up a ramp: its translations are too long by a factor and turned by two angles. Kalman filters follow these three from
-//! the motions of sweeps, as "Simultaneous Calibration of Odometry and Sensor Parameters for Mobile Robots" (Censi, Franchi,
-//! Marchionni, Oriolo, IEEE Transactions on Robotics 29, 2013) estimates them by least squares; what is left is the noise, whose
+//! If wheels have another size than specified, if odometry is mounted differently than specified, or if it
+//! measures in the plane while the platform drives up a ramp, its translations are scaled by a factor and
+//! rotated by two angles. Kalman filters estimate these three from the motions of sweeps, as "Simultaneous
+//! Calibration of Odometry and Sensor Parameters for Mobile Robots" (Censi, Franchi, Marchionni, Oriolo,
+//! IEEE Transactions on Robotics 29, 2013) estimates them by least squares. The rest is the noise, whose
 //! variance follows from the innovations.
 
 use portolan_geometry::Vector3;
@@ -17,7 +18,7 @@ use crate::settings::constants::odometry_calibration::{
     FORGOTTEN_AFTER, MEMORY_SWEEPS, NOISE_FACTORS, OUTLIER_SQUARED_SIGMAS, TOLD_SCALE_ERROR, TOLD_SIGMAS,
 };
 
-/// What odometry tells of the motion since the last sweep.
+/// Motion since the last sweep by odometry.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct OdometryMotion {
     /// Metres in the local map.
@@ -28,12 +29,13 @@ pub(crate) struct OdometryMotion {
 /// The calibration of odometry.
 #[derive(Clone, Debug)]
 pub(crate) struct Calibration {
-    /// What told motions are to be longer by, to the left by and up by, for each metre, and the variance of each.
+    /// Correction along the motion, to its left and upwards, for each metre of it, and the variance of
+    /// each.
     mean: Vector3,
     variances: Vector3,
-    /// In which direction the last motion went, in the local map.
+    /// Direction of the last motion, in the local map.
     last_along: Option<Vector3>,
-    /// Variance of the noise, against what is assumed.
+    /// Variance of the noise, relative to the assumed one.
     noise: CovarianceMatching,
     settings: MotionPriorSettings,
 }
@@ -60,7 +62,7 @@ impl Calibration {
         })
     }
 
-    /// The mean for a motion: what leads up leads down on the way back.
+    /// The mean for a motion: a ramp that leads up leads down on the way back.
     fn mean_of(&self, motion: &OdometryMotion) -> Vector3 {
         let [along, ..] = motion.axes();
         match self.last_along.is_some_and(|last| last.dot(&along) < 0.0) {
@@ -69,14 +71,14 @@ impl Calibration {
         }
     }
 
-    /// How many times as far as sweeps odometry goes, where that is clearly another number than one.
+    /// Ratio of the distance by odometry to that by sweeps, where it differs significantly from one.
     pub fn factor(&self) -> Option<f64> {
         let sigma = self.variances.x.sqrt();
         let is_told = self.mean.x.abs() > TOLD_SCALE_ERROR && self.mean.x.abs() > TOLD_SIGMAS * sigma;
         is_told.then(|| 1.0 / (1.0 + self.mean.x))
     }
 
-    /// How far off a corrected motion is along each axis, metres (standard deviation).
+    /// Standard deviation of a corrected motion along each axis, metres.
     pub fn sigma(&self, motion: &OdometryMotion) -> f64 {
         let by_calibration = self.variances.max() * motion.translation.norm_squared();
         self.settings.least_translation_error + (self.noise_variance(motion) + by_calibration).sqrt()
@@ -86,12 +88,12 @@ impl Calibration {
         (self.settings.odometry_drift * motion.seconds).powi(2) * self.noise.variance_factor()
     }
 
-    /// Takes how far the platform moved (metres in the local map) while odometry told this.
+    /// Takes the motion of the platform (metres in the local map), and that by odometry.
     pub fn learn(&mut self, motion: &OdometryMotion, moved: &Vector3, found: &MeasuredPlace) {
         let most = self.settings.odometry_calibration.powi(2);
         let walk = most * motion.seconds / FORGOTTEN_AFTER;
         self.variances = self.variances.map(|variance| (variance + walk).min(most));
-        // Odometry of a platform that stands says nothing of one that moves.
+        // Odometry of a platform at rest does not calibrate that of a moving one.
         let (told, least) = (motion.translation.norm(), self.settings.least_translation_error);
         if told.max(moved.norm()) < 2.0 * least {
             return;
@@ -101,7 +103,7 @@ impl Calibration {
         let noise = self.noise_variance(motion);
         for (i, axis) in motion.axes().iter().enumerate() {
             let variance = axis.dot(&(found.covariance * axis));
-            // Where points say less than the prior they agree with it, right or not.
+            // Where points constrain less than the prior they agree with it, correct or not.
             if variance > found.of_prior {
                 continue;
             }
@@ -134,7 +136,7 @@ mod tests {
     use crate::settings::OdometrySettings;
     use portolan_geometry::Rigid3;
 
-    /// What odometry tells of sweeps of 0.1 s, each of which moved so far.
+    /// Calibration after sweeps of 0.1 s: their motions by odometry, and their true ones.
     fn after(moves: impl Iterator<Item = (Vector3, Vector3)>, variance: f64) -> Calibration {
         let mut calibration = Calibration::new(&OdometrySettings::default().motion_prior);
         for (told, moved) in moves {

@@ -1,8 +1,10 @@
-//! Whether odometry measures the motion or fails: wheels that slip, readings that stand still, other units or frames than said.
+//! Detects whether odometry measures the motion or fails: wheels that slip, readings that stand still,
+//! other units or frames than specified.
 //!
-//! Two models of the motion since the last sweep, as in "The interacting multiple model algorithm for systems with Markovian
-//! switching coefficients" (Blom, Bar-Shalom, IEEE Transactions on Automatic Control 33, 1988): odometry measured it, or it is
-//! what the platform did without any. Sweeps say which of the two predicts them, and the odds are carried on.
+//! There are two models of the motion since the last sweep, as in "The interacting multiple model
+//! algorithm for systems with Markovian switching coefficients" (Blom, Bar-Shalom, IEEE Transactions on
+//! Automatic Control 33, 1988): odometry measured it, or it is the motion predicted without odometry.
+//! Registered sweeps are compared with both predictions, and the odds are carried on.
 
 use portolan_geometry::Rigid3;
 
@@ -12,7 +14,7 @@ use crate::settings::constants::odometry_trust::{
     DIFFERENT_SIGMAS, FIRST_LOG_ODDS, MOST_LOG_ODDS, OUTLIER_NATS,
 };
 
-/// What is believed of odometry.
+/// Trust in odometry, as log-odds.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct OdometryTrust {
     log_odds: f64,
@@ -24,25 +26,26 @@ impl Default for OdometryTrust {
     }
 }
 
-/// A prediction of where a sweep ends.
+/// A predicted pose at the end of a sweep.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Predicted {
     pub end: Rigid3,
-    /// How far off its place is along each axis, metres.
+    /// Standard deviation of its position along each axis, metres.
     pub sigma: f64,
 }
 
-/// Where odometry says that a sweep ends, and where it ends without.
+/// Predictions of the end of a sweep with and without odometry.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TwoMotions {
     pub measured: Predicted,
     pub otherwise: Predicted,
-    /// How far off both rotations are about each axis, radians; none where both are a gyroscope's, so that they tell nothing.
+    /// Standard deviation of both rotations about each axis, radians; none where both are those of a
+    /// gyroscope, so that they do not distinguish the predictions.
     pub rotation_sigma: Option<f64>,
 }
 
 impl TwoMotions {
-    /// Whether it matters which of the two holds.
+    /// Whether both differ significantly.
     pub fn differ(&self) -> bool {
         let (a, b) = (&self.measured, &self.otherwise);
         let metres = (a.end.translation.vector - b.end.translation.vector).norm();
@@ -51,7 +54,7 @@ impl TwoMotions {
             || self.rotation_sigma.is_some_and(|sigma| radians > DIFFERENT_SIGMAS * sigma.hypot(sigma))
     }
 
-    /// Negative logarithm of how likely a prediction is where the sweep was found, up to a constant.
+    /// Negative log-likelihood of a prediction given the registered sweep, up to a constant.
     fn surprise(&self, predicted: &Predicted, found: &MeasuredPlace) -> f64 {
         let place = &found.local_from_tracking;
         let shift = place.translation.vector - predicted.end.translation.vector;
@@ -68,12 +71,12 @@ impl TwoMotions {
 }
 
 impl OdometryTrust {
-    /// Whether odometry rather works.
+    /// Whether odometry is more likely to work than to fail.
     pub fn works(&self) -> bool {
         self.log_odds > 0.0
     }
 
-    /// Takes where a sweep was found. Where the two predict the same nothing is learned.
+    /// Takes the position of a sweep. Where both predictions agree it does not update the odds.
     pub fn learn(&mut self, motions: &TwoMotions, found: &MeasuredPlace) {
         if !motions.differ() {
             return;
@@ -90,12 +93,12 @@ mod tests {
 
     use super::*;
 
-    /// What is believed after so many sweeps that moved so far, where odometry said and without it was expected.
+    /// State after this number of sweeps with this motion and these predictions with and without odometry.
     fn works_after(sweeps: usize, moved: f64, measured: f64, otherwise: f64) -> bool {
         works_where(sweeps, moved, measured, otherwise, &[Vector3::x(), Vector3::y(), Vector3::z()])
     }
 
-    /// Sweeps tell the place along these directions.
+    /// Sweeps constrain the position along these directions only.
     fn works_where(sweeps: usize, moved: f64, measured: f64, otherwise: f64, told: &[Vector3]) -> bool {
         let at = |x: f64| Rigid3::translation(x, 0.0, 0.0);
         let predicted = |x: f64| Predicted { end: at(x), sigma: 0.03 };

@@ -1,4 +1,4 @@
-//! Planes near many places at once.
+//! Looks up the planes near many positions at once.
 
 use nalgebra as na;
 use portolan_geometry::Point3f;
@@ -7,8 +7,8 @@ use super::{BATCH, NO_VOXEL, Plane, PlaneMap, across_nearest_side};
 use crate::voxel_tree::{LEVELS, Smallest};
 
 impl PlaneMap {
-    /// The planes near at most [`BATCH`] places, as [`Self::plane_seen`] chooses them. All voxels of a size are read before the
-    /// first is judged, so that their reads overlap.
+    /// The planes near at most [`BATCH`] positions, as [`Self::plane_seen`] chooses them. All voxels of a
+    /// size are read before the first one is tested, so that their reads overlap.
     pub(crate) fn planes_seen(&self, places: &[(Point3f, na::Vector3<f32>)]) -> [Option<Plane>; BATCH] {
         let mut numbers = [NO_VOXEL; BATCH];
         let mut scaled = [na::Vector3::zeros(); BATCH];
@@ -26,7 +26,8 @@ impl PlaneMap {
         numbers.map(|number| Some(self.cells.get(number)?.plane(self.fits.get(number)?)))
     }
 
-    /// The numbers of the largest flat voxels around places, as [`Self::plane_around`] finds them, for those that have none yet.
+    /// The numbers of the largest planar voxels around positions, as [`Self::plane_around`] finds them,
+    /// for those that have none yet.
     fn voxels_around(
         &self,
         scaled: &[na::Vector3<f32>; BATCH],
@@ -41,7 +42,7 @@ impl PlaneMap {
             numbers[k] = self.voxels.largest(around).unwrap_or(NO_VOXEL);
         }
         for level in 0..LEVELS {
-            // A loop without decisions, so that all these reads are under way at once.
+            // A loop without branches, so that all these reads are under way at once.
             let mut are_planes = [false; BATCH];
             for (is_plane, number) in are_planes.iter_mut().zip(&numbers) {
                 *is_plane = self.cells.get(*number).is_some_and(|cell| cell.is_plane);

@@ -1,4 +1,4 @@
-//! Planes as files keep them.
+//! Planes in the form in which files store them.
 
 use nalgebra as na;
 
@@ -7,38 +7,40 @@ use crate::plane_fit::{PlaneCell, PlaneFit};
 use crate::settings::constants::plane_map::VOXEL_OFFSET;
 use crate::voxel_tree::{LEVELS, SMALLEST_IN_ALL, SMALLEST_IN_LARGEST, Smallest};
 
-/// The plane of one voxel of a [`PlaneMap`], as a file keeps it.
+/// The plane of one voxel of a [`PlaneMap`] in the form in which files store it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlaneRecord {
-    /// The first of the smallest voxels in it: indices from the corner of all of them, below 8192.
+    /// The first of the smallest voxels in it: indices from the corner of the whole map, below 8192.
     pub voxel: [u32; 3],
-    /// 0 for the largest voxels, and one more for each time that they are halved: up to 2.
+    /// 0 for the largest voxels, and one more for each halving: up to 2.
     pub level: u32,
     /// A point on it, metres.
     pub point: na::Vector3<f32>,
-    /// Unit length; to the side from which it was seen, if it was seen from one.
+    /// Unit length; on the side from which the plane was seen, if that is known.
     pub normal: na::Vector3<f32>,
     /// Mean square distance of the hits from it, m².
     pub variance: f32,
-    /// Square of how far the normal may be off for the noise of the hits, rad².
+    /// Variance of the normal by the noise of the hits, rad².
     pub normal_variance: f32,
-    /// Hits that it was fitted to.
+    /// Number of hits that it was fitted to.
     pub hits: u16,
     /// Whether it was seen from one side only.
     pub is_one_sided: bool,
-    /// Why it may be an artefact of the scan pattern.
+    /// Reason why it may be an artefact of the scan pattern.
     pub unreliable: Option<Unreliable>,
 }
 
 impl PlaneRecord {
-    /// The corner of the voxel where each coordinate is least, metres, where the largest voxels have this edge.
+    /// The corner of the voxel with the smallest coordinates, metres, if the largest voxels have this
+    /// edge.
     pub fn corner(&self, edge: f32) -> na::Vector3<f64> {
         let corner_of_all = f64::from(VOXEL_OFFSET * SMALLEST_IN_LARGEST + 0.5 * SMALLEST_IN_ALL);
         let size = f64::from(edge / SMALLEST_IN_LARGEST);
         na::Vector3::from(self.voxel).map(|index| (f64::from(index) - corner_of_all) * size)
     }
 
-    /// The cell of this plane, its size and place; none if a number is none, or the voxel lies outside of all maps.
+    /// The cell of this plane, its size and position; none if a number is not finite or invalid, or the
+    /// voxel is outside of all maps.
     fn parts(&self) -> Option<(PlaneCell, PlaneFit, u32, Smallest)> {
         let smallest =
             Smallest::of_indices(self.voxel).filter(|s| s.is_in_reach(self.level.min(LEVELS - 1)))?;
@@ -60,7 +62,7 @@ impl PlaneRecord {
 }
 
 impl PlaneMap {
-    /// The planes of a map that is [compacted](Self::compacted); those in larger voxels come first.
+    /// The planes of a [compacted](Self::compacted) map; those in larger voxels come first.
     pub fn records(&self) -> impl Iterator<Item = PlaneRecord> + '_ {
         let places = self.voxels.places().into_iter();
         let cells = self.cells.iter().zip(&self.fits);
@@ -80,8 +82,9 @@ impl PlaneMap {
         })
     }
 
-    /// A compacted map with largest voxels of this edge, metres, from its records; none if the edge or one of them is damaged: a
-    /// number that is none, a voxel twice or outside of all maps, a smaller voxel before the larger one around it.
+    /// A compacted map with largest voxels of this edge, metres, from its records. None if the edge or a
+    /// record is damaged: a number that is not finite, a duplicate voxel or one outside of all maps, a
+    /// smaller voxel before the larger one around it.
     pub fn from_records(edge: f32, records: impl Iterator<Item = PlaneRecord>) -> Option<Self> {
         if !(1e-3..=1e3).contains(&edge) {
             return None;

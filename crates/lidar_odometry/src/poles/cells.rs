@@ -1,17 +1,17 @@
-//! Values of cells that are made when they are needed.
+//! Values of cells that are created on demand.
 
 use portolan_geometry::Point3f;
 use portolan_spatial::DenseIndex;
 
-/// The key of a cell by twelve bits of each index: cells kilometres apart may share one.
+/// The key of a cell from twelve bits of each index; cells kilometres apart may share one.
 #[inline]
 pub(super) fn key_of([x, y, z]: [i32; 3]) -> u64 {
     let bits = |index: i32| index as u64 & 0xfff;
     bits(x) << 24 | bits(y) << 12 | bits(z)
 }
 
-/// The largest whole number that is not larger; the nearest there is for one that is out of range. Without a call of a
-/// function, which `floor` is on some targets.
+/// The largest integer that is not larger than the value, or the nearest integer for a value out of range.
+/// Without the function call that `floor` is on some targets.
 #[inline]
 fn whole(value: f32) -> i32 {
     let toward_zero = value as i32;
@@ -28,7 +28,7 @@ pub(super) struct Cells<T> {
 }
 
 impl<T: Clone> Cells<T> {
-    /// Cells of an edge in metres, each `empty` at first.
+    /// Cells with an edge in metres, each `empty` at first.
     pub fn new(edge: f32, empty: T) -> Self {
         Self { edge, index: DenseIndex::with_capacity(0), values: Vec::new(), empty }
     }
@@ -44,7 +44,7 @@ impl<T: Clone> Cells<T> {
         key_of([whole(place.x / self.edge), whole(place.y / self.edge), 0])
     }
 
-    /// The number of a cell, which is made if it is missing.
+    /// The number of a cell, which is created if it is missing.
     #[inline]
     pub fn number_of(&mut self, key: u64) -> usize {
         self.index.get(key).unwrap_or_else(|| {
@@ -59,17 +59,17 @@ impl<T: Clone> Cells<T> {
         &self.values[number]
     }
 
-    /// The value of a cell by its number, to be changed.
+    /// The value of a cell by its number, mutable.
     pub fn value_mut(&mut self, number: usize) -> &mut T {
         &mut self.values[number]
     }
 
-    /// The value of a cell, if it has been made.
+    /// The value of a cell, if it exists.
     pub fn at(&self, key: u64) -> Option<&T> {
         self.values.get(self.index.get(key)?)
     }
 
-    /// The value of a cell, to be changed.
+    /// The value of a cell, mutable; the cell is created if it is missing.
     pub fn at_mut(&mut self, key: u64) -> &mut T {
         let number = self.number_of(key);
         self.value_mut(number)

@@ -1,4 +1,4 @@
-//! Points of vertical structures, to be found by their place.
+//! Map of points of vertical structures, for nearest-neighbour search.
 
 use nalgebra as na;
 use portolan_geometry::Point3f;
@@ -6,7 +6,7 @@ use portolan_geometry::Point3f;
 use super::cells::{Cells, key_of};
 use crate::settings::PoleSettings;
 
-/// Points of vertical structures around.
+/// Points of vertical structures around the scanner.
 #[derive(Clone, Debug)]
 pub struct PoleMap {
     cells: Cells<Vec<na::Vector3<f32>>>,
@@ -14,7 +14,7 @@ pub struct PoleMap {
 }
 
 impl PoleMap {
-    /// Of points in metres, in a frame whose z axis points up.
+    /// A map of points in metres, in a frame whose z axis points up.
     pub fn new(points: impl Iterator<Item = Point3f>, settings: &PoleSettings) -> Self {
         let mut cells = Cells::new(2.0 * settings.reach(), Vec::new());
         for point in points {
@@ -28,10 +28,10 @@ impl PoleMap {
         &self.settings
     }
 
-    /// The nearest point that is near enough.
+    /// The nearest point within the maximum distance.
     pub(super) fn nearest(&self, place: &na::Vector3<f32>) -> Option<na::Vector3<f32>> {
         let cell = self.cells.around(&Point3f::from(*place));
-        // What is near enough lies in this cell or in the neighbours across its nearest sides.
+        // All points within it are in this cell or in the neighbours across its nearest sides.
         let side = |axis: usize| {
             let fraction = place[axis] / self.cells.edge - cell[axis] as f32;
             cell[axis].saturating_add(if fraction > 0.5 { 1 } else { -1 })

@@ -1,4 +1,4 @@
-//! Vertical structures of the last sweeps, where nothing measures the motion.
+//! Vertical structures of the last sweeps, for sweeps whose motion is unmeasured.
 
 use std::collections::VecDeque;
 
@@ -24,27 +24,27 @@ struct PolesOfSweep {
     poles: SeenPoles,
 }
 
-/// Points of vertical structures in a sweep, as seen from its end.
+/// Points of vertical structures in a sweep, relative to its end.
 #[derive(Clone)]
 pub(crate) enum SeenPoles {
-    /// These.
+    /// The points.
     Known(Vec<Point3f>),
-    /// To be picked when they are needed: where the sweep was found is remembered of an earlier run.
+    /// To be extracted when needed, since the pose of the sweep is remembered from an earlier run.
     Unpicked(Box<UnpickedPoles>),
 }
 
-/// A sweep whose vertical structures have not been looked for yet.
+/// A sweep whose vertical structures have not been extracted yet.
 #[derive(Clone)]
 pub(crate) struct UnpickedPoles {
     pub sweep: Sweep,
-    /// As it was predicted.
+    /// The predicted segment.
     pub segment: TrajectorySegment,
-    /// As it was registered.
+    /// The registered motion compensation.
     pub to_end: PiecewiseLinearTrajectory,
 }
 
 impl SeenPoles {
-    /// Those of a sweep that was predicted and registered like this, not picked yet.
+    /// Those of a sweep with this prediction and registration, to be extracted later.
     pub fn unpicked(sweep: &Sweep, segment: &TrajectorySegment, to_end: &PiecewiseLinearTrajectory) -> Self {
         let (sweep, segment, to_end) = (sweep.clone(), segment.clone(), to_end.clone());
         Self::Unpicked(Box::new(UnpickedPoles { sweep, segment, to_end }))
@@ -72,7 +72,7 @@ fn deskewed(points: &[PolePoint], to_end: &PiecewiseLinearTrajectory) -> Vec<Poi
     points.iter().map(|p| to_end.moved(&p.point.position, p.point.time)).collect()
 }
 
-/// Vertical structures of a sweep, and those of the sweeps before, in the frame of the planes.
+/// Vertical structures of a sweep, and those of the previous sweeps, in the frame of the planes.
 pub(crate) struct PolesToRegister {
     pub map: PoleMap,
     pub points: Vec<PolePoint>,
@@ -89,13 +89,14 @@ impl RecentPoles {
         Self { settings: settings.clone(), sweeps: VecDeque::new() }
     }
 
-    /// Whether to register poles: if nothing measures translation or rotation of a sweep. With odometry it would help
-    /// among trees, too, but in a bare tunnel, where some points of the walls pass for poles, it contradicts the odometry.
+    /// Whether to register poles: if no sensor measures translation or rotation of a sweep. With odometry
+    /// it would help among trees, too, but in a bare tunnel, where some points of the walls pass for
+    /// poles, it contradicts the odometry.
     pub fn are_wanted(segment: &TrajectorySegment) -> bool {
         segment.source == MotionSource::ConstantVelocity && !segment.rotation_is_measured()
     }
 
-    /// What to register, if poles are wanted.
+    /// Points and map to register, if poles are wanted.
     pub fn prepare(
         &mut self,
         sweep: &Sweep,
@@ -114,7 +115,7 @@ impl RecentPoles {
         Some(PolesToRegister { map: PoleMap::new(in_map, settings), points })
     }
 
-    /// Keeps those of a sweep that was registered, as seen from its end.
+    /// Adds those of a registered sweep, relative to its end.
     pub fn add(&mut self, end: Time, local_from_tracking: Rigid3, poles: SeenPoles) {
         self.sweeps.push_back(PolesOfSweep { end, local_from_tracking, poles });
         let is_old = |first: &PolesOfSweep| end.seconds_since(first.end) > self.settings.memory;

@@ -1,4 +1,5 @@
-//! What vertical structures say of a trajectory: horizontal distances from the nearest ones, across walls.
+//! Residuals of vertical structures: horizontal distances to the nearest ones; of walls, perpendicular to
+//! them.
 
 use nalgebra as na;
 
@@ -8,14 +9,14 @@ use crate::registration::normal_equations::Accumulator;
 use crate::registration::{Part, parts_of};
 use crate::segment::TrajectorySegment;
 
-/// A point that was paired: where it was then, and what was nearest.
+/// A paired point: its position when it was paired, and the nearest point.
 #[derive(Clone, Copy)]
 struct Pair {
     looked_up_at: na::Vector3<f32>,
     nearest: Option<na::Vector3<f32>>,
 }
 
-/// Points of vertical structures in a sweep, and what they belong to.
+/// Points of vertical structures in a sweep, and the map that they are paired with.
 pub(crate) struct PoleResiduals<'a> {
     map: &'a PoleMap,
     points: &'a [PolePoint],
@@ -37,7 +38,8 @@ impl<'a> PoleResiduals<'a> {
         Self { map, points, parts, pairs: vec![nowhere; points.len()], points_per_independent_one }
     }
 
-    /// Adds what they say on a trajectory. What they say of translation and rotation alone: `JᵀWJ` of both.
+    /// Adds their residuals on a trajectory. Gives their information about translation and rotation:
+    /// `JᵀWJ` of both.
     pub fn add_to(
         &mut self,
         all: &mut Accumulator,
@@ -79,7 +81,7 @@ impl<'a> PoleResiduals<'a> {
     }
 }
 
-/// The horizontal directions in which a point is constrained: across the wall in which it stands.
+/// The horizontal directions in which a point is constrained: perpendicular to its wall if it has one.
 fn constrained_by(wall_direction: Option<na::Vector3<f32>>) -> [Option<na::Vector3<f32>>; 2] {
     match wall_direction {
         Some(wall) => [na::Vector3::new(-wall.y, wall.x, 0.0).try_normalize(1e-3), None],

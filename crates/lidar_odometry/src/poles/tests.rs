@@ -23,8 +23,8 @@ const TRUNKS: [[f32; 2]; 12] = [
     [8.0, -8.0],
 ];
 
-/// What a scanner at `place` meets: the side of trunks that faces it, ground around it that meets its beams at the
-/// same distances wherever it is, and a wall at y = 9 if that is wanted.
+/// Points of a scanner at `place`: the side of trunks that faces it, ground around it that its beams hit
+/// at the same distances everywhere, and a wall at y = 9 if wanted.
 fn seen_from(place: &Point3f, with_wall: bool, lcg: &mut Lcg) -> Vec<TimedPoint> {
     let mut hits = Vec::new();
     for [x, y] in TRUNKS {
@@ -47,7 +47,7 @@ fn seen_from(place: &Point3f, with_wall: bool, lcg: &mut Lcg) -> Vec<TimedPoint>
     hits.iter().map(|hit| TimedPoint { time: 0.0, position: Point3f::from(hit - place) }).collect()
 }
 
-/// As if the scanner stood at the origin.
+/// As if the scanner was at the origin.
 fn standing() -> TrajectorySegment {
     let start = Time::from_ticks(0);
     TrajectorySegment::new(start, start + Duration::from_seconds(0.1), |_| Rigid3::identity())

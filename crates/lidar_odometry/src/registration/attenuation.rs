@@ -1,5 +1,6 @@
-//! Attenuation: errors of normals pass for information, so that translations come out too small by the spurious fraction
-//! of it (Fuller, "Measurement Error Models", 1987, section 1.1), and planes hold the scanner where it was.
+//! Attenuation: errors of normals act as information, so that translations come out too small by the
+//! spurious fraction of it (Fuller, "Measurement Error Models", 1987, section 1.1), and planes hold the
+//! scanner at its old position.
 
 use nalgebra as na;
 use portolan_geometry::Vector3;
@@ -7,21 +8,22 @@ use portolan_geometry::Vector3;
 use super::normal_equations::NormalEquations;
 use crate::plane_map::PlaneMap;
 
-/// How far off a place may be for attenuation.
+/// Position error by attenuation.
 pub(super) struct Attenuation {
     /// Unit vectors as columns, in the frame of the planes.
     directions: na::Matrix3<f64>,
-    /// Along each, m².
+    /// Variance along each, m².
     variances: Vector3,
 }
 
 impl Attenuation {
-    /// What the eigenvalues of the reliable information say.
+    /// Computed from the eigenvalues of the reliable information.
     pub fn of(equations: &NormalEquations, planes: &PlaneMap) -> Self {
         let reliable =
             na::SymmetricEigen::new(equations.hessian.fixed_view::<3, 3>(0, 0) - equations.unreliable[0]);
-        // Where normals are all that constrains a translation, planes hold the scanner as far from where it is as ranges are off: it
-        // goes so far until other planes are seen. Farther off than a voxel, points are paired with other planes.
+        // Where errors of normals are the only constraint of a translation, planes hold the scanner off
+        // its true position by the range noise: beyond this displacement other planes are seen. The error
+        // is at most a voxel, beyond which points are paired with other planes.
         let (distance, most) = (planes.settings().range_noise, f64::from(planes.edge()));
         let variance = |information: f64| {
             (distance * equations.spurious_translation / information.max(f64::MIN_POSITIVE)).min(most).powi(2)
@@ -33,7 +35,8 @@ impl Attenuation {
         self.directions * na::Matrix3::from_diagonal(&self.variances) * self.directions.transpose()
     }
 
-    /// How many times stiffer a prior is beside points of so much information (1/m²) than without attenuation.
+    /// Factor by which a prior is stiffened next to points of this information (1/m²), compared with no
+    /// attenuation.
     pub fn stiffening(&self, information: &na::Matrix3<f64>) -> na::Matrix3<f64> {
         let columns = self.directions.column_iter().zip(&self.variances);
         columns.fold(na::Matrix3::identity(), |sum, (direction, variance)| {

@@ -1,4 +1,4 @@
-//! Degenerate directions: those in which the information of a scan could as well be spurious.
+//! Finds degenerate directions: those in which all information of a scan may be spurious.
 
 use nalgebra as na;
 use portolan_geometry::Vector3;
@@ -6,10 +6,11 @@ use portolan_motion::DegenerateDirections;
 
 use super::normal_equations::NormalEquations;
 
-/// The eigenvectors of both halves of the information that errors of normals alone could explain (Zhang, Kaess and
-/// Singh, "On degeneracy of optimization-based state estimation problems", 2016). In a direction in which no plane
-/// faces, n·d is the error of the normal; about an axis about which nothing can turn, (p × n)·d is that error times
-/// the distance of p from the axis. Unreliable planes constrain nothing here.
+/// The eigenvectors of the translational and the rotational half of the information that errors of normals
+/// alone could explain (Zhang, Kaess and Singh, "On degeneracy of optimization-based state estimation
+/// problems", 2016). In a direction that no plane faces, n·d is the error of the normal; about an axis
+/// that nothing constrains, (p × n)·d is that error times the distance of p from the axis. Unreliable
+/// planes do not count as constraints here.
 pub(super) fn degenerate_directions(equations: &NormalEquations) -> DegenerateDirections {
     let degenerate = |at: usize, spurious: &na::Matrix3<f64>| -> Vec<Vector3> {
         let half = equations.hessian.fixed_view::<3, 3>(at, at) - equations.unreliable[at / 3];

@@ -1,44 +1,45 @@
-//! The normal equations of a scan: what all points say together.
+//! The normal equations of a scan, summed over all points.
 //!
-//! Rows are summed in blocks of single precision, blocks in double precision: the inner loop is a few vector instructions
-//! a point.
+//! Rows are summed in blocks of single precision, blocks in double precision: the inner loop is a few
+//! vector instructions per point.
 
 use nalgebra as na;
 
-/// So many points are summed in single precision before the sum is added to that of all.
+/// Number of points that are summed in single precision before the sum is added to the total.
 const BLOCK: u32 = 64;
-/// Entries of a row: three of the translation, three of the rotation, the residual, and one to spare.
+/// Entries of a row: three of the translation, three of the rotation, the residual, and a spare one.
 const ROW: usize = 8;
 const RESIDUAL: usize = 6;
 
 /// Sums over the points of a trajectory segment.
 #[derive(Default)]
 pub(crate) struct NormalEquations {
-    /// By corrections of the start, which move all points alike.
+    /// With respect to corrections of the start, which move all points alike.
     pub hessian: na::Matrix6<f64>,
     pub gradient: na::Vector6<f64>,
-    /// By growing corrections, which move every point by the fraction of its time; and by both.
+    /// With respect to growing corrections, which move every point by the fraction of its time, and to
+    /// both.
     pub growth_hessian: na::Matrix6<f64>,
     pub growth_gradient: na::Vector6<f64>,
     pub cross_hessian: na::Matrix6<f64>,
-    /// Sum of weights times the squared errors of normals: so much information about any translation may be spurious,
-    /// 1/m².
+    /// Sum of weights times the squared errors of normals: information about any translation that may be
+    /// spurious, 1/m².
     pub spurious_translation: f64,
-    /// So much information about rotations may be spurious, as a quadratic form of their axis: weights times squared
-    /// errors of normals times squared distances from the axis.
+    /// Information about rotations that may be spurious, as a quadratic form of their axis: weights times
+    /// squared errors of normals times squared distances from the axis.
     pub spurious_rotation: na::Matrix3<f64>,
-    /// What unreliable planes say of translations and rotations: the part of the Hessian that does not count where
-    /// degenerate directions are looked for.
+    /// Information of unreliable planes about translations and rotations: the part of the Hessian that is
+    /// ignored in the search for degenerate directions.
     pub unreliable: [na::Matrix3<f64>; 2],
-    /// Points that lie on planes.
+    /// Points that are on planes.
     pub matched: Matched,
 }
 
-/// The points of a scan that lie on planes.
+/// Counts of the points of a scan that are on planes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Matched {
     pub points: usize,
-    /// How many of their planes are reliable.
+    /// Number of points on reliable planes.
     pub reliable: usize,
     /// The sum of their squared distances, m².
     pub squares: f64,
@@ -57,20 +58,21 @@ pub(crate) struct Accumulator {
     matched: usize,
     matched_unreliable: usize,
     sums: NormalEquations,
-    /// Neighbouring points share their error, so that so many count as one.
+    /// Number of neighbouring points that count as one, since they share their error.
     points_per_independent_one: f64,
 }
 
 impl Accumulator {
-    /// Nothing yet. So many points count as one.
+    /// An empty sum, in which this number of points counts as one.
     pub fn new(points_per_independent_one: f64) -> Self {
         Self { points_per_independent_one, ..Self::default() }
     }
 
-    /// Adds a row with its weight, and the information about translations that errors of its normal feign.
+    /// Adds a row with its weight, and the spurious information about translations by errors of its
+    /// normal.
     #[inline]
     pub fn add(&mut self, row: [f32; ROW], weight: f32, spurious_translation: f32) {
-        // Whole rows, not only the upper triangle: these are single vector instructions.
+        // Whole rows instead of the upper triangle: these are single vector instructions.
         for (sums, value) in self.block.iter_mut().zip(&row[..6]) {
             let weighted = weight * value;
             for (sum, other) in sums.iter_mut().zip(&row) {
@@ -86,15 +88,15 @@ impl Accumulator {
         }
     }
 
-    /// Adds to the spurious information about rotations: `spurious` is the weight times the squared error of the normal,
-    /// `arm` goes from the scanner to the point.
+    /// Adds to the spurious information about rotations: `spurious` is the weight times the squared error
+    /// of the normal, `arm` is the vector from the scanner to the point.
     pub fn add_arm(&mut self, arm: &na::Vector3<f32>, spurious: f32) {
         let arm: na::Vector3<f64> = arm.cast();
         self.moments += arm * arm.transpose() * f64::from(spurious);
     }
 
-    /// Adds to what unreliable planes say: the normal and the lever of a row that is added, too, each with the part of
-    /// its weight that does not count.
+    /// Adds to the information of unreliable planes: the normal and the lever of a row that is also added,
+    /// each with the part of its weight that does not count.
     pub fn add_unreliable(&mut self, normal: &na::Vector3<f32>, lever: &na::Vector3<f32>, weights: [f32; 2]) {
         for ((sum, direction), weight) in self.unreliable.iter_mut().zip([normal, lever]).zip(weights) {
             let direction: na::Vector3<f64> = direction.cast();
@@ -130,7 +132,7 @@ impl Accumulator {
         self.sums.growth_gradient += fraction * gradient;
     }
 
-    /// What was added until the last end of a part.
+    /// Counts of the rows added until the last end of a part.
     pub fn matched(&self) -> Matched {
         let reliable = self.matched - self.matched_unreliable;
         Matched { points: self.matched, reliable, squares: self.weights[1] }

@@ -1,4 +1,4 @@
-//! Which planes the points of a scan are paired with.
+//! Pairs the points of a scan with planes.
 
 use std::ops::Range;
 
@@ -9,10 +9,10 @@ use portolan_sensor::TimedPoint;
 use crate::deskew::PiecewiseLinearTrajectory;
 use crate::plane_map::{BATCH, Plane, PlaneMap};
 
-/// Points whose planes are looked for together.
+/// Number of points whose planes are looked up together.
 pub(super) const AT_ONCE: usize = BATCH;
 
-/// The plane that a point was paired with, and where the point was then.
+/// The plane that a point was paired with, and the position of the point at that time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pair {
     looked_up_at: na::Vector3<f32>,
@@ -22,11 +22,11 @@ pub(super) struct Pair {
 /// The pairs of all points, kept from one iteration to the next.
 pub(super) struct Pairs {
     pub pairs: Vec<Pair>,
-    /// Points that moved farther are paired anew, m².
+    /// Squared displacement above which a point is paired anew, m².
     squared_slack: f32,
 }
 
-/// Where a point is on a trajectory, in the frame of the planes.
+/// Ray of a point on a trajectory, in the frame of the planes.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Ray {
     /// From the scanner to the point.
@@ -36,13 +36,14 @@ pub(super) struct Ray {
 }
 
 impl Pairs {
-    /// Nothing paired yet; points that move by `slack` metres are paired anew.
+    /// Initially nothing is paired; points that move by more than `slack` metres are paired anew.
     pub fn new(num_points: usize, slack: f32) -> Self {
         let nowhere = Pair { looked_up_at: na::Vector3::repeat(f32::INFINITY), plane: None };
         Self { pairs: vec![nowhere; num_points], squared_slack: slack.powi(2) }
     }
 
-    /// Where at most [`AT_ONCE`] of the points are on a trajectory, into `rays`; pairs those that moved with planes.
+    /// Computes the rays of at most [`AT_ONCE`] of the points on a trajectory, into `rays`, and pairs
+    /// those that moved with planes.
     pub fn renew(
         &mut self,
         range: Range<usize>,

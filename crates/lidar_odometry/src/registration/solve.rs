@@ -1,4 +1,4 @@
-//! One Gauss-Newton step: points and prior, weighed against each other.
+//! Solves one Gauss-Newton step of points and prior.
 
 use nalgebra as na;
 use portolan_motion::DegenerateDirections;
@@ -24,7 +24,8 @@ pub(super) struct Step {
 /// [ Cᵀ         G + P_g ] [ δ_growth ]  = − [ g_g + P_g x_growth ]
 /// ```
 ///
-/// with the information H, C, G of the points and P of the prior, which counts more in degenerate directions.
+/// with the information H, C, G of the points and P of the prior, which is increased in degenerate
+/// directions.
 pub(super) fn solve(
     equations: &NormalEquations,
     correction: &SegmentCorrection,

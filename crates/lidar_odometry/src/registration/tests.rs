@@ -78,7 +78,7 @@ fn nothing_near_is_no_match() {
 
 #[test]
 fn hits_that_lie_in_the_cone_of_their_beam_tell_nothing() {
-    // A lidar that moved unnoticed over uneven ground: every beam met it at several ranges.
+    // A lidar that moved unnoticed over uneven ground: every beam hit it at several ranges.
     let mut lcg = Lcg::new(8);
     let mut sweep = |count: usize| -> Vec<Point3f> {
         let mut points = Vec::new();
@@ -110,7 +110,8 @@ fn hits_that_lie_in_the_cone_of_their_beam_tell_nothing() {
 
 #[test]
 fn about_the_axis_of_a_long_tunnel_nothing_is_open() {
-    // Far points lie near the axis: errors of their normals feign nothing about a turn round it.
+    // Far points are near the axis: errors of their normals give no spurious information about a rotation
+    // about it.
     let mut lcg = Lcg::new(9);
     let mut points = Vec::new();
     for _ in 0..40_000 {
@@ -137,7 +138,8 @@ fn about_the_axis_of_a_long_tunnel_nothing_is_open() {
 fn a_sweep_is_found_whose_start_and_speed_were_off() {
     let mut lcg = Lcg::new(10);
     let map = planes(&room(&mut lcg, true, 0.02));
-    // The segment goes with 1 m/s and turns with 1 rad/s; it was predicted to start 1 cm beside and to be slower.
+    // The segment moves with 1 m/s and rotates with 1 rad/s; the prediction starts 1 cm beside it and is
+    // slower.
     let pose_at =
         |speed: f64, t: f64, beside: f64| Rigid3::new(Vector3::new(speed * t, beside, 0.0), Vector3::z() * t);
     let (start, seconds) = (Time::from_ticks(0), 0.1);

@@ -1,98 +1,109 @@
-//! Numbers of single models that could be others: of likelihoods, filters, priors and iterations. They are no fields of
-//! [`super::OdometrySettings`]: each belongs to the model of one file, which its module names. Each says its unit and why it is what it
-//! is; where no reason is named it is assumed.
+//! Constants of single models: of likelihoods, filters, priors and iterations. They are not fields of
+//! [`super::OdometrySettings`], since each belongs to the model of one file, which its module names. Each
+//! states its unit and the reason for its value; where no reason is given the value is assumed.
 
-/// How shifts of what stands upright are weighed (`shift_likelihood.rs`).
+/// Likelihood of shifts of upright structures (`shift_likelihood.rs`).
 pub(crate) mod shift_likelihood {
-    /// How likely what stands is met again where it stands: so much of what stands upright is, in drives.
+    /// Probability that a static structure is met again at its position: the fraction of upright
+    /// structures that is, in drives.
     pub(crate) const MET_AGAIN_PROBABILITY: f64 = 0.8;
-    /// How likely something is met by chance is what fraction of shifts so much smaller or larger, metres, meet it.
+    /// Half width of the range of shifts, metres, over which the probability of meeting a structure by
+    /// chance is averaged.
     pub(crate) const CHANCE_REACH: f64 = 2.0;
-    /// Chance is never better known than this, as a probability.
+    /// Minimum distance of the probability by chance from 0 and from 1.
     pub(crate) const LEAST_CHANCE: f64 = 0.05;
-    /// What stands in a square of this edge, metres, is taken for one object: about a car.
+    /// Edge of the squares whose upright structures count as one object, metres: about a car.
     pub(crate) const OBJECT_EDGE: f64 = 4.0;
-    /// Probability that an object moves, or is another one than before: then it may be met at any shift.
+    /// Probability that an object moves, or is another one than before; it may then be met at any shift.
     pub(crate) const MOVING_PROBABILITY: f64 = 0.1;
-    /// Where less than this part of the variance remains that was known before, a shift is told.
+    /// Fraction of the prior variance below which the posterior variance of a shift counts as a
+    /// measurement.
     pub(crate) const TOLD_VARIANCE_FRACTION: f64 = 0.5;
-    /// Shifts and motions are tried up to so many standard deviations.
+    /// Half the range of tested shifts and motions, in standard deviations.
     pub(crate) const REACH_SIGMAS: f64 = 3.0;
-    /// Shifts along one and along two directions are tried in steps of this fraction of a cell.
+    /// Step of tested shifts along one and along two directions, as a fraction of a cell.
     pub(crate) const STEPS_PER_CELL: [f64; 2] = [0.25, 0.5];
-    /// Along two directions it is looked no farther, metres: the number of shifts grows with the square.
+    /// Maximum shift along two directions, metres: the number of shifts grows with its square.
     pub(crate) const FARTHEST_IN_TWO: f64 = 3.0;
 }
 
-/// What sweeps can have seen (`sight.rs`).
+/// Which structures sweeps can have seen (`sight.rs`).
 pub(crate) mod sight {
-    /// Directions of sight are told apart by this part of a turn.
+    /// Number of sectors of a turn in which ranges and elevations of beams are recorded.
     pub(crate) const SECTORS: usize = 72;
-    /// Nearer by, metres, a column spans too many elevations.
+    /// Minimum range for elevations, metres: nearer by, a column spans too many of them.
     pub(crate) const NEAREST_FOR_ELEVATIONS: f64 = 3.0;
 }
 
 /// Registration to planes (`registration.rs`).
 pub(crate) mod registration {
-    /// The points of a sweep are summed up in so many parts, within which the growth of the correction is constant.
+    /// Number of parts of a sweep that are summed up separately; within each the growth of the correction
+    /// is constant.
     pub(crate) const PARTS_PER_SWEEP: f64 = 8.0;
-    /// Every so many points tell how far points are from the scanner.
+    /// Stride of the sample of points from which the lever arms to the scanner are computed.
     pub(crate) const ARM_SAMPLE_POINTS: usize = 4;
-    /// With this part of the least fraction of matched points there is no hope, once the loss has its final scale.
+    /// Fraction of the minimum matched fraction below which registration is given up, once the loss has
+    /// its final scale.
     pub(crate) const HOPELESS_FRACTION: f64 = 0.6;
-    /// Iterations at most: fewer than half as many are needed.
+    /// Maximum number of iterations; fewer than half as many are needed.
     pub(crate) const MAX_ITERATIONS: u32 = 20;
-    /// Fewer points on planes, three for each unknown, constrain nothing.
+    /// Minimum number of points on planes: three for each unknown.
     pub(crate) const MIN_PAIRS: usize = 18;
-    /// In degenerate directions the prior decides: it counts so many times more than the points.
+    /// Weight of the prior in degenerate directions, relative to that of the points: the prior decides
+    /// there.
     pub(crate) const DEGENERATE_PRIOR_FACTOR: f64 = 30.0;
 }
 
 /// Predicted poses of a sweep (`segment.rs`).
 pub(crate) mod segment {
-    /// Seconds between the poses of a segment; between them motion is linear. At 10 m/s² what this leaves out is 5 µm.
+    /// Time between the poses of a segment, seconds. In between the motion is linear; at 10 m/s² the error
+    /// of that is 5 µm.
     pub(crate) const POSE_SPACING: f64 = 0.002;
-    /// A segment has at most so many poses, which bounds memory; those of a longer one lie farther apart.
+    /// Maximum number of poses of a segment, which bounds memory; those of a longer one are farther apart.
     pub(crate) const MAX_POSES: usize = 512;
 }
 
 /// The vertical from planes (`vertical.rs`).
 pub(crate) mod vertical {
-    /// About so many normals are tried.
+    /// Approximate maximum number of normals that are tried as the vertical.
     pub(crate) const CANDIDATES: usize = 200;
-    /// Fewer planes that are well known do not tell: three fix a room.
+    /// Minimum weight of the planes, in planes with the maximum number of hits: three determine a room.
     pub(crate) const LEAST_PLANES: f64 = 3.0;
-    /// A wall counts half as much as a floor: it fixes one direction of two.
+    /// Weight of a wall relative to a floor: it constrains one direction of two.
     pub(crate) const WALL_WEIGHT: f64 = 0.5;
 }
 
 /// The planar voxel map (`plane_map.rs`, `plane_fit.rs`).
 pub(crate) mod plane_map {
-    /// Voxels do not begin at the origin, because floors and first walls like to lie at round distances; metres.
+    /// Offset of the voxels from the origin, metres, since floors and first walls tend to be at round
+    /// distances.
     pub(crate) const VOXEL_OFFSET: f32 = 0.37;
-    /// Fewer hits make no plane. (The table of counts at which planes are fitted is made at compile time.)
+    /// Minimum number of hits of a plane. (The table of counts at which planes are fitted is made at
+    /// compile time.)
     pub(crate) const MIN_HITS: u16 = 6;
-    /// More hits change nothing: what a place looks like is known by then.
+    /// Maximum number of hits of a voxel; the surface is known by then, and more hits change nothing.
     pub(crate) const MAX_HITS: u16 = 400;
 }
 
 /// Vertical structures (`poles.rs`).
 pub(crate) mod poles {
-    /// Ground as steep as this, 30°, is not taken for what stands on it; a tangent.
+    /// Slope up to which ground is not taken for a vertical structure, 30°; a tangent.
     pub(crate) const STEEPEST_GROUND_TANGENT: f32 = 0.577;
-    /// Points of a wall spread so many times farther along it than across it: as those of planes.
+    /// Minimum ratio of the spread of the points of a wall along it to that across it: as of planes.
     pub(crate) const ELONGATED_RATIO: f32 = 3.0;
 }
 
 /// The inertial filter (`inertial.rs`).
 pub(crate) mod inertial {
-    /// Standard deviation of what nothing measures: metres along degenerate directions, radians about them.
+    /// Standard deviation of unmeasured quantities: metres along degenerate directions, radians about
+    /// them.
     pub(crate) const UNKNOWN_SIGMA: f64 = 30.0;
-    /// An acceleration beyond this, m/s², is more than platforms do, and than most accelerometers measure: it is wrong.
+    /// Acceleration, m/s², above which a sample is rejected: more than platforms reach, and than most
+    /// accelerometers measure.
     pub(crate) const MAX_ACCELERATION: f64 = 200.0;
-    /// The noise of accelerations is learned from about so many sweeps.
+    /// Time constant of the learned noise of accelerations, sweeps.
     pub(crate) const COMPARED_SWEEPS: f64 = 20.0;
-    /// Beyond this factor of its variance an accelerometer tells nothing.
+    /// Maximum factor of the variance of an accelerometer, at which it has no weight.
     pub(crate) const MAX_NOISE_FACTOR: f64 = 1e6;
 }
 
@@ -100,71 +111,79 @@ pub(crate) mod inertial {
 pub(crate) mod initialise {
     use crate::registration::Sigmas;
 
-    /// Motions that fit by less than this fraction of what hypotheses need, as sweeps came, are not followed: de-skewing changes
-    /// how well sweeps fit by a fifth (docs/experiments/2026-11-cpu-time.md).
+    /// Fraction of the fit required of hypotheses below which a motion is not tracked, for sweeps that are
+    /// not de-skewed: de-skewing changes the fit of sweeps by a fifth
+    /// (docs/experiments/2026-11-cpu-time.md).
     pub(crate) const PROMISING_FRACTION: f64 = 0.75;
-    /// The first velocity, and the sweeps that it de-skews, are found in so many iterations; more change nothing.
+    /// Number of iterations for the first velocity and the sweeps that it de-skews; more change nothing.
     pub(crate) const ITERATIONS: u32 = 4;
-    /// A start needs so many times more points on planes than other sweeps: nothing predicts it.
+    /// Ratio of the points on planes that a start requires to those that other sweeps require: a start has
+    /// no prediction.
     pub(crate) const UNPREDICTED_FACTOR: f64 = 2.0;
-    /// A tracking frame that leans by less, radians, is as good as level: posts of 3 m stay within a column of voxels. The vertical
-    /// that a single sweep tells is not sure, either.
+    /// Tilt of the tracking frame, radians, below which it counts as level: posts of 3 m stay within a
+    /// column of voxels. The vertical from a single sweep is uncertain, too.
     pub(crate) const LEVEL_TILT: f64 = 0.13;
-    /// How far off what was found coarsely may be: hardly a prior.
+    /// Standard deviations of the result of a coarse search: hardly a prior.
     pub(crate) const COARSE: Sigmas = Sigmas { translation: 1.0, rotation: 0.1 };
-    /// Seconds between the two poses that tell an extrapolator the first velocity: less than a sweep.
+    /// Time between the two poses that give an extrapolator the first velocity, seconds: less than a
+    /// sweep.
     pub(crate) const VELOCITY_INTERVAL: f64 = 0.05;
-    /// Velocities are corrected so many times: a wrong one blurs what tells it.
+    /// Number of corrections of a velocity: a wrong velocity blurs the points that determine it.
     pub(crate) const VELOCITY_CORRECTIONS: usize = 3;
-    /// Accelerations are tried in so many steps to each side.
+    /// Number of steps to each side in which accelerations are tried.
     pub(crate) const ACCELERATION_STEPS: i32 = 6;
 }
 
-/// How far predicted rotations are off (`innovations.rs`).
+/// Errors of predicted rotations (`innovations.rs`).
 pub(crate) mod innovations {
-    /// About so many sweeps are remembered.
+    /// Time constant of the statistics, sweeps.
     pub(crate) const MEMORY_SWEEPS: f64 = 20.0;
-    /// Innovations are those of the ends of segments; as much is allowed for within one, and so many times more.
+    /// Margin factor of the learned errors: innovations are of the ends of segments, and errors within a
+    /// segment are allowed to be larger.
     pub(crate) const MARGIN_FACTOR: f64 = 2.0;
-    /// What was learned counts for no less than this fraction of what predictions may usually be off by.
+    /// Minimum of the learned error, as a fraction of the assumed error of predictions.
     pub(crate) const LEAST_FRACTION: f64 = 0.03;
-    /// Rotations of registered sweeps are off by about so much, radians (standard deviation), and so is where the next segment
-    /// starts. A gyroscope measures from sweep to sweep as well or better (docs/experiments/2026-11-gyroscope-prior.md).
+    /// Standard deviation of the rotation of registered sweeps, radians, and so of the start of the next
+    /// segment. A gyroscope measures from sweep to sweep as well or better
+    /// (docs/experiments/2026-11-gyroscope-prior.md).
     pub(crate) const REGISTERED_SIGMA: f64 = 5e-4;
 }
 
-/// Whether odometry fails (`odometry_prior/trust.rs`).
+/// Detection of failing odometry (`odometry_prior/trust.rs`).
 pub(crate) mod odometry_trust {
-    /// Logarithm of the odds that odometry works before anything is known. Assumed, not measured.
+    /// Initial logarithm of the odds that odometry works. Assumed, not measured.
     pub(crate) const FIRST_LOG_ODDS: f64 = 3.0;
-    /// The most of them either way, so that a failure that begins or ends is noticed within a few sweeps. Assumed, not measured.
+    /// Maximum of these log-odds either way, so that a failure that begins or ends is noticed within a few
+    /// sweeps. Assumed, not measured.
     pub(crate) const MOST_LOG_ODDS: f64 = 6.0;
-    /// A prediction that is farther off than this tells no more, nats: other things go wrong, too.
+    /// Maximum evidence of one prediction, nats: errors may have other causes.
     pub(crate) const OUTLIER_NATS: f64 = 8.0;
-    /// Predictions that differ by fewer standard deviations are one.
+    /// Difference of two predictions, in standard deviations, below which they count as the same.
     pub(crate) const DIFFERENT_SIGMAS: f64 = 3.0;
 }
 
-/// By how much motions of odometry are corrected (`odometry_prior/calibration.rs`).
+/// Calibration of odometry (`odometry_prior/calibration.rs`).
 pub(crate) mod odometry_calibration {
-    /// About so many sweeps say how large the noise is …
+    /// Time constant of the estimated noise, sweeps.
     pub(crate) const MEMORY_SWEEPS: f64 = 20.0;
-    /// … and by which factor of its variance it may be other than assumed: the least, and the most.
+    /// Limits of the factor of the assumed variance of the noise: minimum and maximum.
     pub(crate) const NOISE_FACTORS: (f64, f64) = (0.01, 1e4);
-    /// After so many seconds nothing is known of the calibration: a platform drives up a ramp and down again. Assumed.
+    /// Time after which the calibration is forgotten, seconds: a platform drives up a ramp and down again.
+    /// Assumed.
     pub(crate) const FORGOTTEN_AFTER: f64 = 100.0;
-    /// A scale is told that is off by such a fraction …
+    /// Minimum scale error for a report, as a fraction.
     pub(crate) const TOLD_SCALE_ERROR: f64 = 0.05;
-    /// … and by so many standard deviations.
+    /// Minimum significance of a reported scale error, in standard deviations.
     pub(crate) const TOLD_SIGMAS: f64 = 3.0;
-    /// An innovation of more standard deviations (squared) tells nothing of the calibration.
+    /// Squared innovation, in standard deviations, above which it does not update the calibration.
     pub(crate) const OUTLIER_SQUARED_SIGMAS: f64 = 9.0;
 }
 
-/// Key frames of a platform that stands (`keyframes.rs`).
+/// Key frames of a platform at rest (`keyframes.rs`).
 pub(crate) mod keyframes {
-    /// The interval is doubled so often when it comes to rest, and once more with each key frame there.
+    /// Number of doublings of the interval when the platform comes to rest; it is doubled once more with
+    /// each key frame there.
     pub(crate) const DOUBLINGS_AT_REST: i32 = 2;
-    /// No more often than this, so that what changes around a standing scanner is mapped.
+    /// Maximum number of doublings, so that changes around a standing scanner are mapped.
     pub(crate) const MOST_DOUBLINGS: i32 = 5;
 }

@@ -1,35 +1,36 @@
-//! What `portolan-motion` takes of the settings.
+//! Settings in the form that `portolan-motion` uses.
 
 use portolan_motion::{DegenerateIntervals, InertialNoise, SaturationDetector, StandstillTolerances};
 
 use super::{GyroscopeSettings, OdometrySettings};
 
 impl GyroscopeSettings {
-    /// How much a difference of turn rates says of the bias while the platform turns this fast, rad/s, beside one at rest.
+    /// Weight of a difference of angular velocities for the bias, at this angular velocity of the
+    /// platform, rad/s, relative to one at rest.
     pub fn weight_at(&self, turn_rate: f64) -> f64 {
         let noise = self.noise * self.noise;
         noise / (noise + (self.scale_error * turn_rate).powi(2))
     }
 
-    /// A difference of turn rates beyond this, rad/s, is no bias but a poor registration or a saturated gyroscope; no
-    /// gyroscope ends at less, either.
+    /// Difference of angular velocities, rad/s, above which it is not a bias but a poor registration or a
+    /// saturated gyroscope. The range of a gyroscope ends at no less.
     pub fn max_bias(&self) -> f64 {
         10.0 * self.bias
     }
 
-    /// Of a gyroscope that has measured nothing yet.
+    /// Detector for a gyroscope without samples so far.
     pub fn saturation_detector(&self) -> SaturationDetector {
         SaturationDetector::new(self.max_bias(), self.equal_in_a_row)
     }
 }
 
 impl OdometrySettings {
-    /// No interval so far.
+    /// Degenerate intervals, none so far.
     pub fn degenerate_intervals(&self) -> DegenerateIntervals {
         DegenerateIntervals::new(self.standstill.resting_speed, self.initialisation.leveling_time)
     }
 
-    /// Errors of the IMU as an inertial filter takes them.
+    /// Errors of the IMU for the inertial filter.
     pub fn inertial_noise(&self) -> InertialNoise {
         InertialNoise {
             turn: self.gyroscope.noise,
@@ -42,7 +43,7 @@ impl OdometrySettings {
         }
     }
 
-    /// What a platform at rest may seem to do.
+    /// Apparent motion that is tolerated of a platform at rest.
     pub(crate) fn standstill_tolerances(&self) -> StandstillTolerances {
         StandstillTolerances {
             time: self.initialisation.leveling_time,

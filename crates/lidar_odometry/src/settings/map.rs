@@ -1,7 +1,7 @@
 //! Settings of the map: planes, poles, key frames.
 
 settings! {
-    /// When the hits in a voxel are a plane, and when that plane is not to be relied on.
+    /// When the hits in a voxel are a plane, and when that plane is not reliable.
     PlaneFitSettings {
         range_noise: f64 = 0.02, "m", 0.001..=0.5,
             "Standard deviation of ranges: across a plane at most, for the smallest voxels; of registered places; and the least spacing of points",

@@ -77,7 +77,7 @@ settings! {
 }
 
 settings! {
-    /// How far predicted trajectory segments may be off.
+    /// Standard deviations of predicted trajectory segments.
     MotionPriorSettings {
         start_rotation: f64 = 0.01, "rad", 0.0001..=1.0,
             "How far off the rotation at the end of the sweep before may be, where no gyroscope measures",
@@ -111,7 +111,7 @@ settings! {
 }
 
 settings! {
-    /// When other predictions than the first are tried, and when they win.
+    /// When alternative predictions are tried, and when they are accepted.
     HypothesisSettings {
         clearly_better: f64 = 1.3, "1", 1.0..=10.0,
             "A result without the gyroscope has to fit so many times better than one with it, unless that is saturated",

@@ -1,7 +1,7 @@
 //! Settings of registration.
 
 settings! {
-    /// How scans are registered to planes.
+    /// Registration of scans to planes.
     RegistrationSettings {
         final_scale_per_edge: f64 = 0.1, "1", 0.01..=1.0,
             "Points farther than about this from their plane, as a fraction of the edge of the largest voxels, count little in the end; as far off they halve what a result is worth beside another",
@@ -43,7 +43,7 @@ settings! {
 }
 
 settings! {
-    /// Which points of a sweep are registered, and when the result counts.
+    /// Which points of a sweep are registered, and when the result is accepted.
     SweepSettings {
         wanted_points: f32 = 3000.0, "points", 50.0..=1e6,
             "So many points of a sweep are registered, spread evenly over what it sees",
@@ -57,7 +57,7 @@ settings! {
 }
 
 settings! {
-    /// When the pose is lost: sweeps that fit far worse than those before them.
+    /// Criteria for a lost pose: sweeps that fit far worse than those before them.
     LossSettings {
         poor_fit_ratio: f64 = 0.5, "1", 0.0..=1.0,
             "A sweep that fits by less than this fraction of what is usual contradicts the map, and is looked for with other motions, too; of first motions that fit by less than this fraction of the best none is followed",

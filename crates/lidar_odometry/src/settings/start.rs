@@ -11,7 +11,7 @@ settings! {
 }
 
 settings! {
-    /// Correlation of two sweeps when nothing is known of the motion.
+    /// Correlation of two sweeps with unknown motion.
     CorrelationSettings {
         cell: f32 = 0.5, "m", 0.05..=5.0,
             "Edge of columns of voxels; shifts are tried in steps of half of it",
@@ -57,7 +57,7 @@ settings! {
 }
 
 settings! {
-    /// The second witness of the way travelled.
+    /// The second, independent measurement of the distance travelled.
     WitnessSettings {
         span: f64 = 1.0, "s", 0.1..=10.0,
             "Sweeps are compared with those so long before, those of half of this together; what nothing tells for half as long again is a guess",
@@ -71,7 +71,7 @@ settings! {
 }
 
 settings! {
-    /// The vertical from planes.
+    /// Estimation of the vertical from planes.
     VerticalSettings {
         max_tilt: f64 = 0.8, "rad", 0.01..=1.6,
             "The scanner is assumed to be tilted less than this",

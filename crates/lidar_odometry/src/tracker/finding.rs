@@ -1,4 +1,4 @@
-//! Which hypothesis of its motion a sweep fits best.
+//! Finds the hypothesis of its motion under which a sweep fits best.
 
 use super::Tracker;
 use crate::issues::{Issue, Issues};
@@ -9,16 +9,18 @@ use crate::sweep::Sweep;
 use crate::sweep_registration::Target;
 use crate::wide_search::WideSearch;
 
-/// The hypothesis that a sweep fits best.
+/// The hypothesis under which a sweep fits best.
 pub(super) struct Found {
     pub best: Registered,
-    /// Poles as seen from the end of the sweep, if they are registered.
+    /// Poles relative to the end of the sweep, if they are registered.
     pub poles: Option<SeenPoles>,
 }
 
 impl Tracker {
-    /// Registers the hypotheses of the motion, and takes the one that fits best. Where even that fits worse than the sweeps
-    /// before, it may have moved otherwise than predicted, unless an IMU felt nothing of it: then something else stands in front.
+    /// Registers the hypotheses of the motion, and accepts the one that fits best. Where even that fits
+    /// worse than the sweeps before, the platform may have moved differently than predicted, and a wide
+    /// search follows. If an IMU measured the motion, there is none: something else is in front of the
+    /// scanner then.
     pub(super) fn best_hypothesis(
         &mut self,
         sweep: &Sweep,
@@ -39,12 +41,12 @@ impl Tracker {
             before: &self.last_fitting,
         };
         let best = search.best(sweep, prediction, found.best);
-        // Poles were seen from where it was predicted.
+        // Poles were extracted for the prediction.
         let poles = found.poles.filter(|_| best.reason != Some(Reason::OtherMotion));
         Found { best, poles }
     }
 
-    /// The best of those that are predicted.
+    /// The best one of the predicted hypotheses.
     fn best_prediction(&mut self, sweep: &Sweep, prediction: &Prediction, issues: &mut Issues) -> Found {
         let map = self.local_map.older();
         let question = self.memory.question(|question| {

@@ -1,4 +1,4 @@
-//! Which motion a sweep constrains, and what is taken for the rest.
+//! Determines which directions of motion a sweep constrains, and what replaces the others.
 
 use portolan_geometry::{Time, Vector3};
 use portolan_motion::{DegenerateDirections, DegenerateScan, Observability, Substitute};
@@ -9,7 +9,8 @@ use crate::predict::Registered;
 use crate::segment::{MotionSource, TrajectorySegment};
 
 impl Tracker {
-    /// Which motion a sweep constrains, in the tracking frame; joins what it does not to intervals.
+    /// Directions of motion that a sweep constrains, in the tracking frame. Adds the degenerate ones to
+    /// intervals.
     pub(super) fn observability(
         &mut self,
         end: Time,
@@ -21,7 +22,7 @@ impl Tracker {
         let tracking_from_local = registered.local_from_tracking.rotation.inverse();
         self.witness.leaves_open(end, registered.open_translations());
         let (up, seconds) = (tracking_from_local * Vector3::z(), segment.seconds());
-        // Where nothing measures the motion, its direction is not known either.
+        // Where the motion is unmeasured, its direction is unknown, too.
         let translation_is_measured = segment.source.is_measured();
         let found = registered.found.as_ref();
         if translation_is_measured || found.is_some_and(|f| f.degenerate.translations.is_empty()) {
@@ -51,7 +52,7 @@ impl Tracker {
         Observability { degenerate, translation_is_measured, rotation_is_measured }
     }
 
-    /// What is taken for translation and rotation along degenerate directions.
+    /// Source of translation and rotation along degenerate directions.
     fn substitutes(
         &self,
         end: Time,
@@ -65,7 +66,7 @@ impl Tracker {
             MotionSource::ConstantVelocity if self.witness.told_lately(end) => Substitute::Correlation,
             MotionSource::ConstantVelocity => Substitute::Velocity,
         };
-        // Where a gyroscope is overruled, the rotation goes on as before, and not as odometry says.
+        // Where a gyroscope is overruled, the rotation is constant, and not that of odometry.
         let is_overruled = self.motion.has_gyroscope(end);
         let rotation = match (segment.rotation_is_measured(), translation) {
             (true, _) => Substitute::Gyroscope,

@@ -1,11 +1,12 @@
-//! Messages gathered to a sweep, and how the grid engine de-skews them: every point by the pose at its own time.
+//! Messages accumulated to a sweep, and their de-skewing in the grid engine: every point by the pose at
+//! its own time.
 
 use portolan_config::TrajectoryBuilder3dOptions;
 use portolan_geometry::{Duration, Point3f, Rigid3, Rigid3f, Time, to_f32};
 use portolan_lidar_odometry::{Sweep, SweepPoint};
 use portolan_sensor::{PointCloud, RangeData, SynchronizedRanges, voxel_filter, voxel_filter_indices};
 
-/// A message thinned with small voxels in the tracking frame.
+/// A message down-sampled with small voxels in the tracking frame.
 pub(super) struct Gathered {
     pub points: Vec<GatheredPoint>,
 }
@@ -13,7 +14,7 @@ pub(super) struct Gathered {
 /// A point of a message.
 pub(super) struct GatheredPoint {
     pub time: Time,
-    /// In the tracking frame at its own time, as the place it was measured from.
+    /// In the tracking frame at its own time, as the origin of its beam.
     pub position: Point3f,
     pub origin: Point3f,
     pub intensity: f32,
@@ -59,12 +60,12 @@ pub(super) fn raw_sweep(gathered: &[Gathered], end: Time, options: &TrajectoryBu
 pub(super) struct Deskewed {
     returns: PointCloud,
     misses: PointCloud,
-    /// Points that are older than a pose already predicted.
+    /// Number of points older than a pose already predicted.
     pub times_raised: u64,
 }
 
-/// De-skews all gathered messages with the poses of the tracking frame in the local map at times from `start` on; sorts
-/// points into returns and misses by their range.
+/// De-skews all accumulated messages with the poses of the tracking frame in the local map, at times from
+/// `start` on. Splits the points into returns and misses by their range.
 pub(super) fn deskew(
     gathered: &[Gathered],
     start: Time,
@@ -102,8 +103,8 @@ pub(super) fn deskew(
 }
 
 impl Deskewed {
-    /// Thinned in the local map, then taken to the tracking frame at the end of the sweep, which is also where the rays
-    /// are taken to start.
+    /// The sweep, down-sampled in the local map, in the tracking frame at its end, which is also assumed
+    /// to be the origin of the rays.
     pub fn in_tracking(&self, local_from_tracking: &Rigid3, voxel_size: f32) -> RangeData {
         let thinned = RangeData {
             origin: Point3f::from(to_f32(local_from_tracking).translation.vector),

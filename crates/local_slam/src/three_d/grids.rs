@@ -22,10 +22,10 @@ use crate::motion_filter;
 use crate::remembered_scans::RememberedScans;
 use crate::{MatchingResult, Space3d};
 
-/// Without an IMU a scan is de-skewed again with the pose it was matched at, so many times.
+/// Number of times that a scan without an IMU is de-skewed again with its matched pose.
 const DESKEWING_PASSES: u32 = 2;
 
-/// Local SLAM by grids.
+/// Local SLAM by matching to hybrid grids.
 pub(super) struct GridEngine {
     options: TrajectoryBuilder3dOptions,
     extrapolator_settings: ExtrapolatorSettings,
@@ -41,7 +41,7 @@ pub(super) struct GridEngine {
 /// A scan that was matched.
 struct MatchedScan {
     local_from_tracking: Rigid3,
-    /// In the tracking frame, thinned.
+    /// In the tracking frame, down-sampled.
     scan: RangeData,
     /// The fine and the coarse cloud.
     clouds: [PointCloud; 2],
@@ -121,7 +121,7 @@ impl GridEngine {
         self.extrapolator.as_ref().map(PoseExtrapolator::counts).unwrap_or_default()
     }
 
-    /// One whole sweep: de-skew, thin, match, insert.
+    /// Processes one whole sweep: de-skews, down-samples, matches and inserts it.
     pub fn add_sweep(
         &mut self,
         end: Time,
@@ -141,7 +141,7 @@ impl GridEngine {
         }
         let mut matched = self.match_deskewed((end, &deskewed), &prediction, insertion, issues)?;
         if let Some((last_time, last_pose)) = last.filter(|_| !self.has_imu && insertion.has_submap()) {
-            // How the scanner moved on the way is known only now.
+            // The motion during the sweep is known only after matching.
             for _ in 0..DESKEWING_PASSES {
                 let found = matched.local_from_tracking;
                 let on_the_way =
@@ -155,7 +155,7 @@ impl GridEngine {
         Some(MatchingResult { measured: raw_sweep(gathered, end, &self.options).points, ..result })
     }
 
-    /// Thins a de-skewed sweep and matches it near a predicted pose.
+    /// Down-samples a de-skewed sweep and matches it near a predicted pose.
     fn match_deskewed(
         &mut self,
         (end, deskewed): (Time, &Deskewed),
@@ -185,7 +185,7 @@ impl GridEngine {
         Some(MatchedScan { local_from_tracking, scan, clouds: [high, low] })
     }
 
-    /// A node if the scan is different enough from the last one.
+    /// Inserts the scan as a node if it is different enough from the last one.
     fn insert(
         &mut self,
         time: Time,
@@ -201,7 +201,7 @@ impl GridEngine {
         insertion.insert(KeyframeScan {
             time,
             local_from_tracking,
-            // Without an IMU: the first pose was level, and z of the local map has pointed up ever since.
+            // Without an IMU the first pose was level, and z of the local map has pointed up ever since.
             gravity_from_tracking: measured_gravity.unwrap_or(local_from_tracking.rotation),
             scan,
             clouds: Some(clouds),

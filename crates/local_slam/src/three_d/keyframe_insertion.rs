@@ -1,4 +1,4 @@
-//! What becomes of a sweep that was registered: a node, and more in the active submaps.
+//! Makes nodes of registered key frames, and inserts them into the active submaps.
 
 use std::sync::Arc;
 
@@ -14,23 +14,23 @@ use portolan_submaps::{Inserter3d, Scan3d, Submap3d};
 use crate::{ActiveSubmaps, filtered};
 use crate::{InsertedNode, InsertionSubmap, MatchingResult, NodeData, Space3d};
 
-/// A sweep that was registered and is a key frame.
+/// A registered sweep that is a key frame.
 pub(super) struct KeyframeScan {
     pub time: Time,
     pub local_from_tracking: Rigid3,
     /// From the tracking frame to a gravity-aligned one.
     pub gravity_from_tracking: Quaternion,
-    /// In the tracking frame, thinned.
+    /// In the tracking frame, down-sampled.
     pub scan: RangeData,
     /// The fine and the coarse cloud, if they were needed for matching.
     pub clouds: Option<[PointCloud; 2]>,
-    /// Which motion it constrains.
+    /// Directions of motion that it constrains.
     pub open: Observability,
-    /// The map of planes that it completed, together with the older submap.
+    /// The planar voxel map that it completed, together with the older submap.
     pub completed_map: Option<PlaneMap>,
 }
 
-/// A point of a histogram takes so many times as long as one that is put into a voxel.
+/// Ratio of the time for a point of a histogram to that for inserting a point into a voxel.
 const WORK_PER_POINT: usize = 4;
 
 /// Makes nodes and fills submaps.
@@ -38,7 +38,7 @@ pub(super) struct KeyframeInsertion {
     options: TrajectoryBuilder3dOptions,
     inserter: Arc<Inserter3d>,
     pub submaps: ActiveSubmaps<Space3d>,
-    /// Of submaps of pieces of map that ended.
+    /// Issues of submaps of earlier pieces of map.
     issues: IssueLog,
 }
 
@@ -92,7 +92,8 @@ impl KeyframeInsertion {
         data: &NodeData,
         completed_map: Option<PlaneMap>,
     ) -> Vec<InsertionSubmap<Space3d>> {
-        // Of length one: with grids the next poses follow from that of the submap, and an error would double with each.
+        // Normalised: with grids the next poses follow from that of the submap, and an error would double
+        // with each.
         let rotation = data.local_from_tracking.rotation * data.gravity_alignment.inverse();
         let local_from_gravity_aligned = Quaternion::new_normalize(rotation.into_inner());
         let scan = Scan3d {
@@ -113,7 +114,7 @@ impl KeyframeInsertion {
         clouds(returns, &self.options)
     }
 
-    /// The histogram of a scan in the tracking frame, which another thread counts if it is worth that.
+    /// The histogram of a scan in the tracking frame, computed in another thread if there is enough work.
     fn histogram(&self, scan: &Arc<RangeData>, gravity_alignment: Quaternion) -> Later<Vec<f32>> {
         let (scan, size) = (Arc::clone(scan), self.options.rotational_histogram_size);
         let work = WORK_PER_POINT * scan.returns.len();
@@ -129,7 +130,7 @@ impl KeyframeInsertion {
         histogram
     }
 
-    /// Ends a piece of map as [`Self::finish`] does, and begins another one.
+    /// Ends a piece of map as [`Self::finish`] does, and begins a new one.
     pub fn begin_anew(&mut self, maps: impl Iterator<Item = PlaneMap>) -> Vec<InsertionSubmap<Space3d>> {
         let remaining = self.finish(maps);
         self.submaps.count_into(&mut self.issues);
@@ -137,20 +138,20 @@ impl KeyframeInsertion {
         remaining
     }
 
-    /// Adds what could not be inserted.
+    /// Adds the issues of scans that could not be inserted.
     pub fn count_into(&self, issues: &mut IssueLog) {
         issues.append(&self.issues);
         self.submaps.count_into(issues);
     }
 
-    /// Ends the trajectory; maps of planes belong to the submaps that are being filled, oldest first.
+    /// Ends the trajectory. `maps` are the planar voxel maps of the active submaps, oldest first.
     pub fn finish(&mut self, maps: impl Iterator<Item = PlaneMap>) -> Vec<InsertionSubmap<Space3d>> {
         self.submaps.iter_mut().zip(maps).for_each(|(submap, planes)| submap.planes = Some(planes));
         self.submaps.finish()
     }
 }
 
-/// A submap is half full after so many key frames.
+/// Number of key frames after which a submap is half full.
 pub(super) fn keyframes_per_half(options: &TrajectoryBuilder3dOptions) -> u32 {
     u32::try_from(options.submaps.num_range_data).unwrap_or(1)
 }

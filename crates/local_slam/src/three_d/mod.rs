@@ -1,8 +1,8 @@
-//! Local SLAM in 3D: messages are assembled to sweeps, one of two engines finds where they were taken, and key frames
-//! become nodes and fill submaps.
+//! Local SLAM in 3D: assembles messages to sweeps, estimates their poses by one of two engines, and
+//! inserts key frames into submaps as nodes.
 //!
-//! Unlike Cartographer's it also works without an IMU: when none has reported for a second of range data, the trajectory
-//! starts level where the tracking frame is, and lidar alone tells how it turns.
+//! Unlike Cartographer it also works without an IMU: if no IMU sample has come within a second of range
+//! data, the trajectory starts with a level tracking frame, and only lidar measures rotations.
 
 use std::collections::VecDeque;
 
@@ -39,7 +39,7 @@ pub struct LocalSlam3dSettings {
     pub use_all_odometry: bool,
     /// Register to planes in voxels of at most this size, metres, instead of to grids.
     pub plane_voxel_size: Option<f64>,
-    /// Range data are gathered until they span about so many seconds.
+    /// Minimum duration of an accumulated scan, approximately, seconds.
     pub min_scan_duration: f64,
 }
 
@@ -47,7 +47,7 @@ pub struct LocalSlam3dSettings {
 pub struct LocalSlam3d {
     collator: RangeDataCollator,
     wants_intensities: bool,
-    /// Messages that came before the trajectory began.
+    /// Messages received before the trajectory began.
     waiting: VecDeque<SynchronizedRanges>,
     assembly: SweepAssembly,
     engine: Engine,
@@ -55,11 +55,11 @@ pub struct LocalSlam3d {
     issues: IssueLog,
 }
 
-/// What finds where sweeps were taken.
+/// Estimator of the poses of sweeps.
 enum Engine {
-    /// Planar voxel maps.
+    /// Registration to planar voxel maps.
     Planes(Box<PlaneEngine>),
-    /// Hybrid grids, as Cartographer.
+    /// Matching to hybrid grids, as Cartographer.
     Grids(Box<GridEngine>),
 }
 
@@ -99,7 +99,7 @@ impl LocalSlam3d {
         self.issues.add(Issue::new(kind).at(time));
     }
 
-    /// Begins the trajectory if enough is known. Whether it has begun.
+    /// Begins the trajectory if the data suffices. Gives whether it has begun.
     fn begin_if_ready(&mut self) -> bool {
         let waiting = waiting_sweeps(&self.waiting);
         match &mut self.engine {
@@ -108,7 +108,7 @@ impl LocalSlam3d {
         }
     }
 
-    /// Registers what waited for the beginning.
+    /// Registers the messages that waited for the start.
     fn register_waiting(&mut self) -> Vec<MatchingResult<Space3d>> {
         if !self.begin_if_ready() {
             return Vec::new();
@@ -117,7 +117,7 @@ impl LocalSlam3d {
         waiting.iter().flat_map(|ranges| self.add_synchronized(ranges)).collect()
     }
 
-    /// One synchronised set of ranges: registered when a sweep is together.
+    /// Adds one synchronised set of ranges, and registers the sweep if it completes one.
     fn add_synchronized(&mut self, ranges: &SynchronizedRanges) -> Vec<MatchingResult<Space3d>> {
         if self.last_pose_time().is_some_and(|last| first_point_time(ranges) < last) {
             let kind = match self.insertion.has_submap() {

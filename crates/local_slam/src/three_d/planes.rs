@@ -24,7 +24,7 @@ pub(super) struct PlaneEngine {
     issues: IssueLog,
 }
 
-/// The grids of the older submap, where a sweep fits no plane.
+/// The grids of the older submap, for sweeps that do not fit the planes.
 struct Grids<'a> {
     options: &'a TrajectoryBuilder3dOptions,
     matcher: &'a GridMatcher,
@@ -46,7 +46,7 @@ impl Fallback for Grids<'_> {
         is_valid_pose(&matched).then_some(matched)
     }
 
-    /// Two cells.
+    /// Assumed error of a match: two cells, metres.
     fn error(&self) -> f64 {
         2.0 * self.options.submaps.high_resolution
     }
@@ -89,21 +89,21 @@ impl PlaneEngine {
         self.note_issues(data.time);
     }
 
-    /// One whole sweep: finds where it was taken, inserts it. The first one waits for the second.
+    /// Processes one whole sweep: estimates its pose and inserts it. The first one waits for the second.
     pub fn add_sweep(
         &mut self,
         end: Time,
         gathered: &[Gathered],
         insertion: &mut KeyframeInsertion,
     ) -> Vec<MatchingResult<Space3d>> {
-        // What cannot be registered is counted by the odometry.
+        // The odometry counts sweeps that it cannot register.
         let _ = self.odometry.push(raw_sweep(gathered, end, &self.options));
         let results = self.register(insertion);
         self.note_issues(end);
         results
     }
 
-    /// Registers a first sweep for which no second came.
+    /// Registers the first sweep if no second one came.
     pub fn flush(&mut self, insertion: &mut KeyframeInsertion) -> Vec<MatchingResult<Space3d>> {
         self.odometry.end();
         let results = self.register(insertion);
@@ -128,12 +128,13 @@ impl PlaneEngine {
         results
     }
 
-    /// Since when sweeps have fitted nothing, if the last ones did not when the trajectory ended.
+    /// Time since which sweeps have not fitted the map, if the last ones did not when the trajectory
+    /// ended.
     pub fn lost_since(&self) -> Option<Time> {
         self.odometry.lost_since()
     }
 
-    /// The planes of the maps that are being filled, oldest first.
+    /// The planes of the active local maps, oldest first.
     pub fn growing_maps(&self) -> impl Iterator<Item = PlaneMap> {
         self.odometry.local_maps().map(|map| map.planes.now().compacted())
     }
@@ -146,17 +147,17 @@ impl PlaneEngine {
         self.odometry.extrapolator_counts()
     }
 
-    /// How many times as far as sweeps odometry goes, where that is clearly another number than one.
+    /// Ratio of the distance by odometry to that by sweeps, where it differs significantly from one.
     pub fn odometry_factor(&self) -> Option<f64> {
         self.odometry.odometry_factor()
     }
 
-    /// What the odometry counted so far.
+    /// Issues of the odometry so far.
     pub fn issues(&self) -> &IssueLog {
         &self.issues
     }
 
-    /// Takes over what the odometry counted since the last call; `time` is when.
+    /// Adds the issues of the odometry since the last call, with this time.
     fn note_issues(&mut self, time: Time) {
         for (issue, count) in self.odometry.issues().iter() {
             let kind = issue.kind();
@@ -166,7 +167,7 @@ impl PlaneEngine {
     }
 }
 
-/// A node of a key frame, and nothing of other sweeps.
+/// Inserts a key frame as a node; other sweeps are not inserted.
 fn inserted(
     options: &TrajectoryBuilder3dOptions,
     mut registered: RegisteredSweep,
@@ -197,7 +198,7 @@ fn inserted(
     MatchingResult { measured: sweep.points, lost, ..result }
 }
 
-/// What the options say of the odometry.
+/// Settings of the lidar odometry from these options.
 fn odometry_settings(
     options: &TrajectoryBuilder3dOptions,
     settings: &LocalSlam3dSettings,
@@ -217,7 +218,7 @@ fn odometry_settings(
     }
 }
 
-/// What the options say of the extrapolator.
+/// Settings of the extrapolator from these options.
 pub(super) fn extrapolator_settings(
     options: &TrajectoryBuilder3dOptions,
     settings: &LocalSlam3dSettings,

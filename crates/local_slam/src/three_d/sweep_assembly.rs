@@ -1,4 +1,4 @@
-//! Messages are gathered until they are a sweep.
+//! Assembles messages to sweeps.
 
 use portolan_config::TrajectoryBuilder3dOptions;
 use portolan_geometry::Time;
@@ -8,23 +8,23 @@ use portolan_sensor::SynchronizedRanges;
 use super::deskew::Gathered;
 use crate::{MOST_GATHERED_POINTS, first_point_time};
 
-/// Messages are thinned with voxels of this fraction of those that sweeps are thinned with.
+/// Voxel size for down-sampling messages, as a fraction of that for sweeps.
 const VOXEL_FRACTION: f32 = 0.5;
-/// Stamps jitter: this fraction of the wanted time will do.
+/// Fraction of the wanted duration that suffices for a sweep, since time stamps jitter.
 const ENOUGH: f64 = 0.9;
-/// Turns differ, and stamps more so: a message that spans this fraction by itself is a sweep, even if it begins before
-/// the last one ended.
+/// Fraction of the wanted duration from which on a single message is a whole sweep, even if it begins
+/// before the last one ended: revolutions differ, and time stamps more so.
 const WHOLE: f64 = 0.75;
 
-/// Gathers messages.
+/// Assembles messages to sweeps.
 pub(super) struct SweepAssembly {
     voxel_size: f32,
     messages: usize,
-    /// Sweeps span about so many seconds, too.
+    /// Minimum duration of a sweep, approximately, seconds.
     min_duration: f64,
-    /// Messages since the last sweep.
+    /// Messages received since the last sweep.
     gathered: Vec<Gathered>,
-    /// When the last sweep ended.
+    /// End time of the last sweep.
     since: Option<Time>,
 }
 
@@ -39,7 +39,7 @@ impl SweepAssembly {
         }
     }
 
-    /// Takes a message. Gives the messages of a sweep when it is the last of one.
+    /// Takes a message. Gives the messages of a sweep if it completes one.
     pub fn add(&mut self, ranges: &SynchronizedRanges, issues: &mut IssueLog) -> Option<Vec<Gathered>> {
         self.gathered.push(Gathered::new(ranges, self.voxel_size));
         let begin = *self.since.get_or_insert_with(|| first_point_time(ranges));

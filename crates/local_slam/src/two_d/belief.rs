@@ -1,39 +1,42 @@
-//! Knowing that it is lost: scans that contradict the map for longer than people and doors explain.
+//! Detects that the pose is lost: scans contradict the map for longer than people and doors explain.
 
 use portolan_geometry::Time;
 use portolan_grids::ScanAgreement;
 
-/// A scan of which the map contradicts this fraction of all beams fits nothing there: more than people and doors explain, and
-/// less than scans of another place reach (docs/experiments/2026-11-lost-and-late.md).
+/// Fraction of all beams that contradict the map from which on a scan does not fit: more than people and
+/// doors explain, and less than scans of another place reach (docs/experiments/2026-11-lost-and-late.md).
 const CONTRADICTED: f32 = 0.4;
-/// Where odometry measured the motion a scan fits nothing if the map contradicts this fraction of all beams, explains less
-/// than that, and so many pass through walls. People and things that moved hide walls, but nothing sees through them
-/// (docs/experiments/2026-11-carried-2d.md).
+/// The same limit where odometry measured the motion, with a maximum fraction of explained beams, and a
+/// minimum fraction of beams that pass through walls. People and moved objects hide walls, but no beam
+/// passes through one (docs/experiments/2026-11-carried-2d.md).
 const CONTRADICTED_IN_SPITE_OF_ODOMETRY: f32 = 0.35;
 const EXPLAINED: f32 = 0.4;
 const THROUGH_WALLS: f32 = 0.05;
-/// So many scans in a row, over so many seconds, are no accident.
+/// Minimum number of contradicting scans in a row, and their minimum duration, seconds, for the pose to be
+/// lost.
 const SCANS: u32 = 5;
 const SECONDS: f64 = 1.0;
 
-/// How the map agrees with a scan where it was found.
+/// Agreement of the map with a scan at its match.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Fit {
     pub agreement: ScanAgreement,
-    /// Odometry measured the motion to there.
+    /// Whether odometry measured the motion to this pose.
     pub is_measured: bool,
-    /// The agreement is nearer to that of wrong places than to that of right ones in this recording.
+    /// Whether the agreement is closer to that of wrong poses than to that of correct ones in this
+    /// recording.
     pub looks_wrong: bool,
 }
 
 impl Fit {
-    /// Whether it does not confirm a guess: it looks wrong or, where nothing measured the motion, the map hardly knows what is seen.
+    /// Whether it does not confirm a guess: it looks wrong or, where the motion was unmeasured, most of
+    /// the scan is unknown to the map.
     pub fn is_poor(&self) -> bool {
         self.looks_wrong || !self.is_measured && is_hardly_explained(&self.agreement)
     }
 }
 
-/// What is believed of the pose.
+/// State of trust in the pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) enum PoseBelief {
     /// Scans fit the map.
@@ -43,21 +46,22 @@ pub(super) enum PoseBelief {
     Doubtful {
         /// Time of the first one.
         since: Time,
-        /// How many there were.
+        /// Number of these scans.
         scans: u32,
-        /// The first one fits badly, and only far from where odometry has it or after a time of which nothing is known: it may see
-        /// a place that the map does not know.
+        /// Whether the pose of the first one is a guess: it fits badly, and only far from its pose by
+        /// odometry or after a time without measurements. The scanner may be at a place outside the map.
         is_elsewhere: bool,
     },
-    /// The pose is not known any more.
+    /// The pose is lost.
     Lost {
-        /// Since when.
+        /// Time of the first contradicting scan.
         since: Time,
     },
 }
 
 impl PoseBelief {
-    /// After one more scan, with how the map agrees with it; none without anything to compare with.
+    /// State after one more scan, with its agreement with the map; none if there is no map to compare
+    /// with.
     pub fn after(self, time: Time, fit: Option<Fit>) -> Self {
         match fit.is_some_and(|fit| self.is_doubted(&fit)) {
             true => self.doubted(time, false),
@@ -65,8 +69,8 @@ impl PoseBelief {
         }
     }
 
-    /// After one more scan that fits badly where it was found, and only far from where odometry has it or after a time of which
-    /// nothing is known: the best of all the places that were looked at is none then.
+    /// State after one more scan that fits badly even at its best match, and only far from its pose by
+    /// odometry or after a time without measurements: none of the searched poses is correct then.
     pub fn after_guess(self, time: Time) -> Self {
         self.doubted(time, true)
     }
@@ -82,8 +86,9 @@ impl PoseBelief {
         Self::Doubtful { since, scans, is_elsewhere }
     }
 
-    /// Whether a scan fits nothing. Where odometry measured the motion this takes more: scans of a new room may contradict
-    /// what was seen of it through a door, and those among people contradict everything; odometry bridges them.
+    /// Whether a scan does not fit. Where odometry measured the motion more evidence is needed: scans of a
+    /// new room may contradict what was seen of it through a door, and those among people contradict
+    /// everything; odometry bridges them.
     fn is_doubted(self, fit: &Fit) -> bool {
         let Fit { agreement, is_measured, .. } = fit;
         let is_guess = matches!(self, Self::Doubtful { is_elsewhere: true, .. });
@@ -96,7 +101,7 @@ impl PoseBelief {
     }
 }
 
-/// Whether the map tells next to nothing of where a scan was taken that agrees with it like this.
+/// Whether so few beams are explained that the map does not constrain the pose of the scan.
 pub(super) fn is_hardly_explained(agreement: &ScanAgreement) -> bool {
     agreement.explained < EXPLAINED
 }
@@ -105,7 +110,7 @@ fn fits_badly(agreement: &ScanAgreement) -> bool {
     agreement.contradicted() >= CONTRADICTED_IN_SPITE_OF_ODOMETRY && is_hardly_explained(agreement)
 }
 
-/// Whether what the map knows of a place says that the scan was not taken there, whatever moved meanwhile.
+/// Whether the map shows that the scan was not taken at this pose, whatever moved meanwhile.
 pub fn refutes_place(agreement: &ScanAgreement) -> bool {
     fits_badly(agreement) && agreement.through_solid >= THROUGH_WALLS
 }
@@ -147,7 +152,7 @@ mod tests {
             belief = belief.after(at(i), fit(agreement(0.45), true, true));
         }
         assert_eq!(belief, PoseBelief::Lost { since: at(0) });
-        // The same where nothing was measured, or where most is new.
+        // The same where the motion was unmeasured, or most of the scan is new.
         let believed = |explained: f32, looks_wrong| {
             (1..=5).fold(PoseBelief::Sure.after_guess(at(0)), |belief, i| {
                 let agreement = ScanAgreement { explained, in_free_space: 0.3, through_solid: 0.05 };
@@ -156,7 +161,7 @@ mod tests {
         };
         assert_eq!([believed(0.45, true), believed(0.3, false)], [PoseBelief::Lost { since: at(0) }; 2]);
         assert_eq!(believed(0.45, false), PoseBelief::Sure);
-        // Else it takes more.
+        // Otherwise more evidence is needed.
         let door = PoseBelief::Sure.after(at(0), fit(agreement(0.1), true, true));
         assert_eq!(door, PoseBelief::Doubtful { since: at(0), scans: 1, is_elsewhere: false });
         assert_eq!(door.after(at(1), fit(agreement(0.45), true, true)), PoseBelief::Sure);

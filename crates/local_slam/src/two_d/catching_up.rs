@@ -1,29 +1,32 @@
-//! Odometry that is behind: what it has not told of one motion it tells with the next.
+//! Handles odometry that lags behind and reports the missing part of one motion with the next.
 //!
-//! A busy computer hands on the last pose of the wheels that it knows, in a long gap one from its beginning. The motion over the gap
-//! is too short then and the one after it too long, by as much; together they are right. So after a scan was found far from where
-//! odometry had it, odometry may go on from where it was itself.
+//! A busy computer passes on the last known wheel pose; in a long gap it is one from the beginning of the
+//! gap. The motion over the gap is then too short and the next one too long by the same amount; their sum
+//! is correct. So after a scan was matched far from its pose by odometry, odometry may also go on from its
+//! own pose.
 
 use portolan_geometry::Rigid2;
 
-/// After so many seconds odometry that was wrong does not catch up any more.
+/// Time after which odometry that was wrong no longer catches up, seconds.
 const LONGEST: f64 = 2.0;
 
-/// Where odometry would have gone by itself since it was behind.
+/// Pose by odometry alone since it lagged behind.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct CatchingUp {
-    /// Pose in the local map, and seconds since.
+    /// Pose in the local map, and time since the lag, seconds.
     behind: Option<(Rigid2, f64)>,
 }
 
 impl CatchingUp {
-    /// Where the scanner is after one more motion, as odometry tells it, in so many seconds, if it has caught up.
+    /// Pose of the scanner after one more motion by odometry over this time, seconds, if odometry has
+    /// caught up.
     pub fn after(&self, motion: &Rigid2, seconds: f64) -> Option<Rigid2> {
         self.behind.filter(|(_, since)| since + seconds <= LONGEST).map(|(behind, _)| behind * *motion)
     }
 
-    /// Takes the motion, as odometry tells it, in so many seconds from one scan to where the next one is; and whether the scan was
-    /// found far from there, or where odometry had caught up.
+    /// Takes the motion by odometry from one scan to the next, and its duration, seconds. `is_far`: the
+    /// scan was matched far from its prediction. `has_caught_up`: it was matched where odometry had caught
+    /// up.
     pub fn add(&mut self, motion: (Rigid2, f64), predicted: Rigid2, is_far: bool, has_caught_up: bool) {
         let (motion, seconds) = motion;
         self.behind = match self.behind {
@@ -43,7 +46,7 @@ mod tests {
     fn what_was_behind_is_where_both_motions_lead() {
         let mut catching_up = CatchingUp::default();
         let step = Rigid2::new(0.1, 0.0, 0.2);
-        // Odometry stood while the scanner went two steps, and tells three after that.
+        // Odometry stood while the scanner moved two steps, and reports three after that.
         assert_eq!(catching_up.after(&step, 0.2), None);
         catching_up.add((Rigid2::identity(), 0.4), Rigid2::identity(), true, false);
         let three = step * step * step;

@@ -1,9 +1,11 @@
-//! Returns that move along with the scanner: those of the robot itself, or of somebody who walks beside it.
+//! Removes returns that move along with the scanner: those of the robot itself, or of a person who walks
+//! beside it.
 //!
-//! Such returns say that the scanner stands still, and in a corridor nothing else says how far it went. A return is told by
-//! comparing the scan with one from before the scanner moved: it is where that one had a return in the frame of the scanner, not
-//! where it had one in the world, and one of the two scans sees through the place where the other has it. Where scans say this
-//! of a return again and again it is left out of matching and of the map.
+//! Such returns fit a standing scanner, and in a corridor no others constrain the distance travelled. They
+//! are detected by comparison with a scan from before the scanner moved. A return moves along if that scan
+//! had a return at its position in the frame of the scanner, but not at its position in the world, and if
+//! one of the two scans sees through the position where the other has the return. Returns for which this
+//! repeats are left out of matching and of the map.
 
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
@@ -11,46 +13,51 @@ use std::f64::consts::TAU;
 use portolan_geometry::{Duration, Point3f, Rigid2, Time, Vector2};
 use portolan_sensor::RangeData;
 
-/// Beams are told apart by the degree.
+/// Number of angular bins of a turn, one degree each.
 const BINS: usize = 360;
-/// Returns up to a range, metres, are compared with the newest scan from which the scanner has moved by so much, metres: by twice
-/// what two returns of one place may be apart at the far end of the second band. What is farther is not looked at.
+/// Range bands: maximum range of returns, metres, and distance that the scanner must have moved since the
+/// scan that they are compared with, metres; the newest such scan is used. At the far end of the second
+/// band this distance is twice the maximum distance of two returns of one point. Returns farther away are
+/// not compared.
 const BANDS: [(f64, f64); 2] = [(5.0, 0.3), (20.0, 1.3)];
-/// A scan from which it has turned by so much, radians, will do, too.
+/// Rotation of the scanner, radians, that suffices instead of the distance.
 const TURNED: f64 = 0.5;
-/// Scans that are older are not compared with.
+/// Maximum age of a scan to compare with.
 const OLDEST: Duration = Duration::from_ticks(50_000_000);
-/// So many scans are remembered at most, however close their stamps are.
+/// Maximum number of scans kept, however close their time stamps are.
 const MOST_VIEWS: usize = 256;
-/// Two returns may be of one place if they are no farther apart than this, metres, and this share of their range.
+/// Maximum distance of two returns of one point: a constant, metres, plus a fraction of their range.
 const SAME: f64 = 0.05;
 const SAME_SHARE: f64 = 0.03;
-/// Returns of one body in scans that follow each other differ by no more than this, metres and degrees.
+/// Maximum difference of returns of one body in consecutive scans, metres and degrees.
 const FOLLOWED: f64 = 0.12;
 const FOLLOWED_BINS: usize = 2;
-/// So many comparisons more for than against it tell that a return moves along, and no more than these are remembered.
+/// Surplus of comparisons for moving along over those against it from which on a return is left out, and
+/// maximum of this count.
 const ENOUGH: i8 = 3;
 const MOST: i8 = 8;
-/// So many returns that move along at most for each that surely does not.
+/// Maximum number of returns that move along for each static one.
 const CONFIRMED_BY: usize = 4;
-/// Where more than this share of the directions with returns move along it is rather the motion that is wrong.
+/// Fraction of the directions with returns that move along above which the motion is assumed to be wrong
+/// instead.
 const MOST_OF_SCAN: f64 = 0.5;
 
-/// What moves along with the scanner, learned from scan to scan.
+/// Detects returns that move along with the scanner, from scan to scan.
 #[derive(Default)]
 pub(super) struct CoMoving {
-    /// Scans of the last seconds, where they were found.
+    /// Scans of the last seconds, at their matched poses.
     views: VecDeque<View>,
-    /// Of each direction of the newest scan: for and against its return moving along.
+    /// For each direction of the newest scan, comparisons for minus those against its return moving along.
     marks: Vec<i8>,
 }
 
-/// The nearest return in each direction from the scanner. Its frame stands where the scanner is and turns with the robot.
+/// The nearest return in each direction from the scanner. Its frame has its origin at the scanner and
+/// turns with the robot.
 struct Profile {
     aligned_from_scanner: Rigid2,
     /// In the frame of the scanner, metres.
     returns: Vec<Option<Vector2>>,
-    /// How far nothing is in the way, metres.
+    /// Free range in each direction, metres.
     clear: Vec<f64>,
 }
 
@@ -60,7 +67,7 @@ struct View {
     profile: Profile,
 }
 
-/// A scan about to be matched: what of it moves along.
+/// A scan to be matched, with the marks of its returns.
 pub(super) struct Marked {
     profile: Profile,
     marks: Vec<i8>,
@@ -68,14 +75,15 @@ pub(super) struct Marked {
 }
 
 impl CoMoving {
-    /// A scan in the gravity-aligned tracking frame, with what is known of its returns from the scans before.
+    /// Marks the returns of a scan in the gravity-aligned tracking frame by those of the scans before.
     pub fn mark(&self, scan: &RangeData, aligned_from_scanner: Rigid2) -> Marked {
         let profile = Profile::of(scan, aligned_from_scanner);
         let known = self.views.back().map(|view| &view.profile);
         let mark = |bin: usize| {
             let (before, range) = (known?, profile.range(bin)?);
             let is_followed = |b: &usize| before.range(*b).is_some_and(|r| (r - range).abs() < FOLLOWED);
-            // What stays where it was inherits from there alone: marks of a corner do not run along the wall.
+            // A return that stays in its direction inherits only from there, so that marks of a corner do
+            // not run along the wall.
             let from = Some(bin).filter(is_followed).or_else(|| {
                 (1..=FOLLOWED_BINS)
                     .flat_map(|d| [bin + d, bin + BINS - d])
@@ -91,7 +99,7 @@ impl CoMoving {
         Marked { profile, marks, is_left_out }
     }
 
-    /// Learns from a scan that was found at this pose.
+    /// Updates the marks by a scan matched at this pose.
     pub fn learn(&mut self, time: Time, local_from_aligned: Rigid2, marked: Marked) {
         let Marked { profile, mut marks, .. } = marked;
         let local_from_scanner = local_from_aligned * profile.aligned_from_scanner;
@@ -116,7 +124,7 @@ impl CoMoving {
             };
             let verdicts: Vec<Option<Verdict>> = profile.returns.iter().map(verdict).collect();
             let count = |wanted| verdicts.iter().filter(|verdict| **verdict == Some(wanted)).count();
-            // That the scanner moved at all must be told by this scan, too, and not by odometry alone.
+            // This scan, too, and not only odometry, must show that the scanner moved at all.
             let is_told = CONFIRMED_BY * count(Verdict::Stays) >= count(Verdict::MovesAlong);
             for (mark, verdict) in marks.iter_mut().zip(&verdicts) {
                 let change = match verdict {
@@ -133,7 +141,7 @@ impl CoMoving {
 }
 
 impl Marked {
-    /// The scan without what moves along; none where all of it is used.
+    /// The scan without returns that move along; none where all of it is used.
     pub fn without_co_moving(&self, scan: &RangeData) -> Option<RangeData> {
         if !self.is_left_out {
             return None;
@@ -150,20 +158,22 @@ impl Marked {
     }
 }
 
-/// What two scans tell of a return.
+/// Result of the comparison of a return with an earlier scan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Verdict {
-    /// It is where the scan before had one in the world, and in the frame of the scanner that had none there.
+    /// The earlier scan had a return there in the world, and none there in the frame of the scanner.
     Stays,
-    /// It is where the scan before had one both ways: the world explains it.
+    /// The earlier scan had a return there in both frames, so it may be static.
     MayStay,
-    /// It is where the scan before had one in the frame of the scanner alone, and one of the two scans sees through.
+    /// The earlier scan had a return there only in the frame of the scanner, and one of the two scans sees
+    /// through.
     MovesAlong,
-    /// The scan before saw neither.
+    /// None of these: the earlier scan had a return in neither position, or no scan sees through.
     Unknown,
 }
 
-/// What the scan before tells of the return at `at`, metres in the frame of the scanner, of the scan `now`.
+/// Compares the return at `at`, metres in the frame of the scanner, of the scan `now` with the scan
+/// `before`.
 fn compare(at: Vector2, before_from_now: &Rigid2, (before, now): (&Profile, &Profile)) -> Verdict {
     let in_world = before_from_now.transform_point(&at);
     match (before.nearest(in_world), before.nearest(at)) {
@@ -209,7 +219,7 @@ impl Profile {
         self.returns.get(bin).copied().flatten().map(|at| at.norm())
     }
 
-    /// The return that is nearest to a place, if it may be of the same.
+    /// The return nearest to a point, if both may be of the same surface.
     fn nearest(&self, place: Vector2) -> Option<Vector2> {
         let (bin, range) = polar(place);
         let apart = tolerance(range);
@@ -220,7 +230,7 @@ impl Profile {
         (distance(&nearest) < apart * apart).then_some(nearest)
     }
 
-    /// Whether beams on both sides of a place go on behind it.
+    /// Whether the beams beside a point end well behind it.
     fn sees_through(&self, place: Vector2) -> bool {
         let (bin, range) = polar(place);
         let needed = range + 2.0 * tolerance(range);
@@ -238,7 +248,7 @@ fn polar(place: Vector2) -> (usize, f64) {
     ((share * BINS as f64) as usize % BINS, place.norm())
 }
 
-/// A direction and so many on both sides.
+/// Indices of a direction and of this number of directions to each side.
 fn neighbours(bin: usize, width: usize) -> impl Iterator<Item = usize> {
     let width = width.min(BINS / 2 - 1);
     (0..=2 * width).map(move |i| (bin + BINS + i - width) % BINS)
@@ -249,7 +259,7 @@ mod tests {
     use super::*;
     use portolan_sensor::PointCloud;
 
-    /// What a scanner sees in a hall of 20 m by 3 m with a pillar of 0.4 m by the wall every 2 m, each degree of a half turn.
+    /// Range in a hall of 20 m by 3 m with a pillar of 0.4 m by the wall every 2 m, in a direction.
     fn range(pose: &Rigid2, direction: f64) -> f64 {
         let angle = pose.angle + direction;
         let step = Vector2::new(angle.cos(), angle.sin()) * 0.02;
@@ -264,7 +274,8 @@ mod tests {
         (at - pose.translation).norm()
     }
 
-    /// A scan as if something nearer than `body` of each direction (degrees) moved along.
+    /// A scan of each degree of a half turn, with returns of a body that moves along at the ranges `body`
+    /// by direction (degrees).
     fn scan(pose: &Rigid2, body: &dyn Fn(i32) -> Option<f64>) -> RangeData {
         let point = |degrees: i32| {
             let direction = f64::from(degrees).to_radians();
@@ -278,7 +289,7 @@ mod tests {
         }
     }
 
-    /// How many returns are left out of each scan of a drive through the hall.
+    /// Number of returns that are left out of each scan of a drive through the hall.
     fn left_out(body: &dyn Fn(i32) -> Option<f64>, pose_at: impl Fn(f64) -> Rigid2) -> Vec<usize> {
         let mut co_moving = CoMoving::default();
         (0..60_u32)
@@ -312,7 +323,7 @@ mod tests {
     fn a_robot_that_stands_or_scans_that_all_move_along_tell_nothing() {
         let post = |degrees: i32| (20..32).contains(&degrees).then_some(0.5);
         assert_eq!(left_out(&post, |_| Rigid2::new(5.0, 0.2, 0.0)).iter().max(), Some(&0));
-        // Wheels that slip: everything is where it was, and the robot is said to move.
+        // Wheels that slip: all returns stay in place while the poses move.
         let same = |degrees: i32| Some(range(&DRIVEN(0.0), f64::from(degrees).to_radians()));
         assert_eq!(left_out(&same, DRIVEN).iter().max(), Some(&0));
     }

@@ -1,8 +1,9 @@
-//! Where odometry alone says that the scanner is, while scans fit nothing that the map knows.
+//! Dead reckoning by odometry alone, while scans fit nowhere in the map.
 //!
-//! Scans that fit nothing say that something is wrong: the scanner was carried elsewhere, or the map is wrong here, or the last
-//! scans were matched to the wrong place. In the last two cases odometry still tells how the scanner moved. It says nothing of
-//! being carried: wheels stand still then, or what they tell jumps.
+//! Scans that do not fit have one of three causes: the scanner was carried elsewhere, the map is wrong
+//! here, or the last scans were matched at a wrong place. In the last two cases odometry still measures
+//! the motion of the scanner. It does not measure being carried: the wheels stand still then, or the
+//! odometry jumps.
 
 use portolan_geometry::Rigid2;
 
@@ -10,7 +11,8 @@ use super::motion::{FASTEST, Motion};
 use super::prediction_error::PredictionSigmas;
 use crate::OdometryBridge;
 
-/// With less motion than this in all, metres and radians, odometry stood still while what scans see changed.
+/// Total motion, metres and radians, below which odometry counts as standing still although the scans
+/// changed.
 const STANDING: (f64, f64) = (0.1, 0.1);
 
 /// Dead reckoning since the last scan that fitted.
@@ -21,19 +23,20 @@ pub(super) struct DeadReckoning {
     /// Variances of the errors of all steps: metres² along each axis, radians².
     translation_variance: f64,
     rotation_variance: f64,
-    /// Way and turns in all, metres and radians.
+    /// Total distance travelled and total rotation, metres and radians.
     moved: (f64, f64),
-    /// Odometry measured every step, and none was faster than a robot moves.
+    /// Whether odometry measured every step, and no step was faster than a robot moves.
     is_whole: bool,
 }
 
 impl DeadReckoning {
-    /// From where a scan was found.
+    /// Starts at the pose of a matched scan.
     pub fn from(pose: Rigid2) -> Self {
         Self { pose, translation_variance: 0.0, rotation_variance: 0.0, moved: (0.0, 0.0), is_whole: true }
     }
 
-    /// Takes the motion of the tracking frame to the next scan as odometry measured it, with its standard deviations.
+    /// Adds the motion of the tracking frame to the next scan as odometry measured it, with its standard
+    /// deviations.
     pub fn add(&mut self, motion: &Motion, step: &Rigid2, sigmas: PredictionSigmas) {
         let (length, turn) = (step.translation.norm(), step.normalized_angle().abs());
         let seconds = motion.seconds;
@@ -46,7 +49,7 @@ impl DeadReckoning {
         self.pose = self.pose * *step;
     }
 
-    /// The pose by odometry and how well it is known; none where it says nothing.
+    /// The pose by odometry and its uncertainty; none where odometry does not measure it.
     pub fn bridge(&self) -> Option<(Rigid2, OdometryBridge)> {
         let has_moved = self.moved.0 > STANDING.0 || self.moved.1 > STANDING.1;
         let bridge = OdometryBridge {

@@ -1,8 +1,9 @@
-//! The direction in which a scan tells least: along a corridor, or past a single wall.
+//! Finds the degenerate direction of a scan: along a corridor, or along a single wall.
 //!
-//! Point-to-line constraints along the normals of what is seen have the information matrix Σ n nᵀ (Censi 2007, "On
-//! achievable accuracy for range-finder localization"); its weakest direction is the corridor's. There a match is
-//! weighed with the prediction, as a Kalman filter would: by what the surfaces that face that direction tell.
+//! Point-to-line constraints along the normals of the surfaces have the information matrix Σ n nᵀ (Censi
+//! 2007, "On achievable accuracy for range-finder localization"). Its weakest direction is that of the
+//! corridor. Along it a match is weighed with the prediction, as in a Kalman filter, by the evidence of
+//! the surfaces that face this direction.
 
 use portolan_geometry::{Rigid2, Vector2};
 use portolan_grids::{Grid2d, score_difference};
@@ -11,27 +12,29 @@ use portolan_sensor::PointCloud;
 
 use super::scan::Scan;
 
-/// Where the weakest direction has less than this fraction of all information, the prediction is weighed there.
+/// Fraction of all information below which the weakest direction is degenerate and the prediction is
+/// weighed there; dimensionless.
 const WEAK: f64 = 0.2;
-/// With fewer normals nothing is known.
+/// Minimum number of normals for a decision.
 const MIN_NORMALS: f64 = 5.0;
 
-/// A return faces the weak direction if its normal has this much of it …
+/// Component of its normal along the degenerate direction above which a return faces it.
 const FACING: f32 = 0.35;
-/// … and for each of those so many others are kept, at least this many.
+/// Number of other returns kept for each return that faces the degenerate direction, and minimum number of
+/// others.
 const OTHERS: usize = 2;
 const MIN_OTHERS: usize = 40;
 
-/// A direction along which most of what a scan sees looks the same.
+/// A direction along which a scan constrains its position only weakly.
 pub(super) struct WeakDirection {
     /// Unit vector in the frame of the scan.
     in_scan: Vector2,
-    /// For each return how much its surface faces that direction, 0 to 1; 1 for lone returns.
+    /// For each return the component of its normal along that direction, 0 to 1; 1 for lone returns.
     facing: Vec<f32>,
 }
 
 impl WeakDirection {
-    /// The direction along which the surfaces of a scan tell least, if they tell little there.
+    /// The direction along which the surfaces of a scan constrain least, if it is degenerate.
     pub fn of(returns: &PointCloud) -> Option<Self> {
         let tangents = surface_tangents(returns);
         let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
@@ -46,14 +49,14 @@ impl WeakDirection {
         if sum < MIN_NORMALS || weakest > WEAK * sum {
             return None;
         }
-        // The strongest direction is the long axis of the ellipse; the weakest lies across it.
+        // The strongest direction is the long axis of the ellipse; the weakest is perpendicular to it.
         let angle = 0.5 * (2.0 * xy).atan2(xx - yy) + std::f64::consts::FRAC_PI_2;
         let in_scan = Vector2::new(angle.cos(), angle.sin());
         let facing = |tangent: &Option<Vector2>| tangent.map_or(1.0, |t| t.perp(&in_scan).abs() as f32);
         Some(Self { facing: tangents.iter().map(facing).collect(), in_scan })
     }
 
-    /// Whether a scan tells that it was not taken this far from where it was found along this direction, metres.
+    /// Whether a scan rules out poses at this distance from its match along this direction, metres.
     pub fn is_told(&self, scan: &Scan, found: &Rigid2, metres: f64) -> bool {
         scan.tells(found, Rigid2 { translation: self.in_scan * metres, angle: 0.0 }, &self.facing)
     }
@@ -63,8 +66,9 @@ impl WeakDirection {
         self.in_scan
     }
 
-    /// Fraction of the motion from `predicted` to `found` along this direction to believe: σ² / (σ² + σₘ²), where σ is the
-    /// standard deviation of the prediction, metres, and σₘ that of the match by how significantly the scan fits better.
+    /// Fraction of the motion from `predicted` to `found` along this direction to accept: σ² / (σ² + σₘ²),
+    /// where σ is the standard deviation of the prediction, metres, and σₘ that of the match, from how
+    /// significantly the scan fits better.
     pub fn gain(
         &self,
         grid: &Grid2d,
@@ -87,8 +91,9 @@ impl WeakDirection {
         Rigid2 { translation: found.translation - along, angle: found.angle }
     }
 
-    /// The scan with fewer of the returns that tell nothing along this direction, so that those that do tell decide
-    /// there (normal-space sampling, Rusinkiewicz and Levoy 2001, "Efficient variants of the ICP algorithm").
+    /// The scan with fewer of the returns that do not constrain this direction, so that those that do
+    /// decide there (normal-space sampling, Rusinkiewicz and Levoy 2001, "Efficient variants of the ICP
+    /// algorithm").
     pub fn balanced(&self, returns: &PointCloud) -> PointCloud {
         let facing = self.facing.iter().filter(|f| **f > FACING).count();
         let others = returns.points.len() - facing;

@@ -1,4 +1,5 @@
-//! One trajectory's scans, each predicted, matched and inserted (`slam2d.md` §5), from a motion at the start that is given.
+//! Front end of one trajectory: predicts, matches and inserts its scans (`slam2d.md` §5), from a given
+//! initial motion.
 
 mod deskew;
 mod left_open;
@@ -31,16 +32,17 @@ use crate::{
     Space2d, count_extrapolated, first_point_time, motion_filter, note_corrected_odometry, take_odometry,
 };
 
-/// An odometry source that reported nothing for so long is not waited for.
+/// Maximum silence of an odometry source that is still waited for.
 const ODOMETRY_TIMEOUT: Duration = Duration::from_ticks(50_000_000);
 
-/// Accelerations are averaged over this time where the level filter gives them, seconds: not at all.
+/// Time constant of gravity in the extrapolator where the level filter provides it, seconds: accelerations
+/// are not averaged.
 const LEVEL_AT_ONCE: f64 = 1e-6;
 
-/// How much newer the newest scan may be than one that still waits for odometry.
+/// Maximum time by which the newest scan may be newer than one that still waits for odometry.
 const LONGEST_WAIT: Duration = Duration::from_ticks(20_000_000);
 
-/// Finds scans one after the other and draws submaps of them.
+/// Matches scans one after the other and builds submaps of them.
 pub(super) struct FrontEnd {
     options: TrajectoryBuilder2dOptions,
     extrapolator: Option<PoseExtrapolator>,
@@ -49,9 +51,9 @@ pub(super) struct FrontEnd {
     tracker: Tracker,
     belief: PoseBelief,
     co_moving: CoMoving,
-    /// The last pose that was sure, in the local map.
+    /// The last accepted pose, in the local map.
     last_sure: Rigid2,
-    /// Where odometry says that the scanner went from there.
+    /// Dead reckoning by odometry from there.
     reckoned: DeadReckoning,
     inserter: Arc<Inserter2d>,
     active_submaps: ActiveSubmaps<Space2d>,
@@ -60,23 +62,23 @@ pub(super) struct FrontEnd {
     /// Odometry that came before the first scan.
     waiting_odometry: VecDeque<OdometryData>,
     last_odometry_time: Option<Time>,
-    /// Scans that wait for the odometry pose after them.
+    /// Scans that wait for the next odometry pose.
     waiting_ranges: VecDeque<SynchronizedRanges>,
-    /// How the scanner moves when it begins.
+    /// Velocity of the scanner at the start.
     start_velocity: Velocity,
-    /// A piece of map was begun that nothing measured ties to the one before.
+    /// Whether a piece of map was begun that no measurement connects to the one before.
     has_begun_anew: bool,
     degenerate: DegenerateIntervals,
-    /// What gathered where scans left the way or the heading open.
+    /// Variance accumulated where scans did not constrain the position or the heading.
     gathered: GatheredVariance,
     guessed_way: GuessedWay,
-    /// What it does besides mapping.
+    /// Its tasks besides mapping.
     pub(super) role: Role,
     issues: IssueLog,
 }
 
 impl FrontEnd {
-    /// Of a scanner that moves like this when it begins.
+    /// Front end of a scanner with this velocity at the start.
     pub fn new(
         options: &TrajectoryBuilder2dOptions,
         extras: LocalSlamExtras,
@@ -124,7 +126,7 @@ impl FrontEnd {
     fn start_extrapolator(&mut self, time: Time) -> &mut PoseExtrapolator {
         let options = &self.options.pose_extrapolator.constant_velocity;
         let use_all_odometry = self.extras.use_all_odometry;
-        // What the filter says of level holds at once.
+        // The direction of gravity from the level filter holds at once.
         let gravity_time_constant = match use_all_odometry {
             true => LEVEL_AT_ONCE,
             false => options.imu_gravity_time_constant,
@@ -142,14 +144,14 @@ impl FrontEnd {
         })
     }
 
-    /// Whether a scan had better wait: between two odometry poses the motion is known, beyond the last
-    /// one it can only be guessed. A source that has fallen silent is not waited for.
+    /// Whether a scan waits for odometry. Between two odometry poses the motion is measured; beyond the
+    /// last one it can only be guessed. A source that has fallen silent is not waited for.
     fn waits_for_odometry(&self, time: Time) -> bool {
         self.extras.use_all_odometry
             && self.last_odometry_time.is_some_and(|last| last < time && time - last <= ODOMETRY_TIMEOUT)
     }
 
-    /// Matches the scans whose odometry has come, and those that waited too long.
+    /// Matches the scans whose odometry has arrived, and those that waited too long.
     fn match_waiting(&mut self, newest: Time) -> Vec<MatchingResult<Space2d>> {
         let mut results = Vec::new();
         while let Some(oldest) = self.waiting_ranges.front() {
@@ -162,7 +164,7 @@ impl FrontEnd {
         results
     }
 
-    /// One synchronised set of ranges: de-skew, gather, and match when enough is together.
+    /// De-skews and accumulates one synchronised set of ranges, and matches once enough are accumulated.
     fn add_synchronized(&mut self, ranges: &SynchronizedRanges) -> Option<MatchingResult<Space2d>> {
         if !self.options.use_imu_data {
             let first = first_point_time(ranges);
@@ -202,7 +204,7 @@ impl FrontEnd {
         self.add_accumulated(ranges.time, deskewed.as_ref().unwrap_or(&scan), gravity)
     }
 
-    /// Takes scans of all sensors at one time. Gives what became of scans whose turn has come.
+    /// Takes scans of all sensors at one time. Gives the results of the scans that are now processed.
     pub fn add_ranges(&mut self, ranges: SynchronizedRanges) -> Vec<MatchingResult<Space2d>> {
         let newest = ranges.time;
         self.waiting_ranges.push_back(ranges);
@@ -221,7 +223,7 @@ impl FrontEnd {
         }
     }
 
-    /// Takes an odometry pose. Gives what became of scans that waited for it.
+    /// Takes an odometry pose. Gives the results of scans that waited for it.
     pub fn add_odometry(&mut self, data: &OdometryData) -> Vec<MatchingResult<Space2d>> {
         if !take_odometry(data, self.extrapolator.as_mut(), &mut self.waiting_odometry) {
             self.count(IssueKind::OdometryTooOld, data.time);
@@ -230,18 +232,18 @@ impl FrontEnd {
         self.match_waiting(data.time)
     }
 
-    /// Matches what still waits for odometry that will not come.
+    /// Matches scans that still wait for odometry that will not come.
     pub fn flush(&mut self) -> Vec<MatchingResult<Space2d>> {
         self.last_odometry_time = None;
         self.match_waiting(Time::MAX)
     }
 
-    /// Where scans left to the prediction how far it went, so far.
+    /// Intervals so far in which scans did not constrain the motion.
     pub fn degenerate_intervals(&self) -> &[DegenerateInterval] {
         self.degenerate.all()
     }
 
-    /// Remembers where scans were found with this.
+    /// Sets the memory in which matched poses are remembered.
     pub fn remember_with(&mut self, memory: &Memory) {
         self.tracker.remember_with(memory);
     }
@@ -256,7 +258,7 @@ impl FrontEnd {
         self.active_submaps.iter().map(|(index, submap)| (index, submap.clone())).collect()
     }
 
-    /// What was dropped or repaired so far.
+    /// Data that was dropped or repaired so far.
     pub fn issues(&self) -> IssueLog {
         let mut issues = self.issues.clone();
         self.active_submaps.count_into(&mut issues);
@@ -267,7 +269,7 @@ impl FrontEnd {
         issues
     }
 
-    /// Whether scans are searched as far as predictions were wrong lately.
+    /// Whether the search window adapts to recent prediction errors.
     pub fn is_adaptive(&self) -> bool {
         self.tracker.is_adaptive()
     }

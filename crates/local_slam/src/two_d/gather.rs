@@ -1,36 +1,37 @@
-//! Range data gathered into one scan: de-skewed by the predicted motion, sorted into returns and misses, gravity-aligned.
+//! Accumulates range data to one scan: de-skews it by the predicted motion, splits it into returns and
+//! misses, and aligns it with gravity.
 
 use portolan_config::TrajectoryBuilder2dOptions;
 use portolan_geometry::{Duration, Point3f, Quaternion, Rigid2, Rigid3, Rigid3f, Time, to_f32, yaw};
 use portolan_sensor::{PointCloud, RangeData, SynchronizedRanges, voxel_filter};
 
-/// Range data gathered since the last match, in the local map as predicted.
+/// Range data accumulated since the last match, in the local map by the predicted poses.
 #[derive(Default)]
 pub(super) struct Accumulation {
     pub messages: u32,
     pub returns: Vec<Point3f>,
     pub misses: Vec<Point3f>,
-    /// Where the newest point was measured from.
+    /// Position of the sensor at its newest point.
     scanner: Point3f,
 }
 
-/// A gathered scan in the gravity-aligned tracking frame of its last point.
+/// An accumulated scan in the gravity-aligned tracking frame of its last point.
 pub(super) struct GatheredScan {
     pub range_data: RangeData,
-    /// Where its newest point was measured from.
+    /// Position of the sensor at its newest point.
     scanner: Point3f,
 }
 
 impl GatheredScan {
-    /// The frame that stands where the newest point was measured from and whose x axis is that of the tracking frame: the
-    /// gravity-aligned frame may be turned against it by any yaw.
+    /// The frame with its origin at the sensor at the newest point and with the x axis of the tracking
+    /// frame; the gravity-aligned frame may be turned against it by any yaw.
     pub fn aligned_from_scanner(&self, aligned_from_tracking: &Quaternion) -> Rigid2 {
         Rigid2::new(f64::from(self.scanner.x), f64::from(self.scanner.y), yaw(aligned_from_tracking))
     }
 }
 
-/// Puts every point where it was measured from, by the pose of the tracking frame in the local map at its own time, and sorts
-/// it into returns and misses. Returns the pose at the last point.
+/// De-skews every point by the pose of the tracking frame in the local map at its own time, and splits the
+/// points into returns and misses. Returns the pose at the last point.
 pub(super) fn deskew_into(
     ranges: &SynchronizedRanges,
     mut local_from_tracking: impl FnMut(Time) -> Rigid3,
@@ -46,7 +47,8 @@ pub(super) fn deskew_into(
             let time = ranges.time + Duration::from_seconds(f64::from(pose_time));
             pose = to_f32(&local_from_tracking(time));
         }
-        // Without an origin there is no range, as where it is NaN. The collator gives every point one.
+        // Without an origin there is no range; the same where it is NaN. The collator gives every point
+        // one.
         let Some(origin_in_tracking) = ranges.origins.get(p.origin_index) else { continue };
         let origin = pose * origin_in_tracking;
         accumulated.scanner = origin;
@@ -65,8 +67,8 @@ pub(super) fn deskew_into(
     pose
 }
 
-/// The gathered points in the gravity-aligned tracking frame of the last point, cropped in height and
-/// thinned.
+/// The accumulated points in the gravity-aligned tracking frame of the last point, cropped in height and
+/// down-sampled.
 pub(super) fn gravity_aligned(
     accumulated: Accumulation,
     last_local_from_tracking: &Rigid3f,

@@ -1,27 +1,29 @@
-//! How far the scanner may be from where it is believed, along a way that nothing told.
+//! Estimates the position uncertainty along a path that no sensor measured.
 //!
-//! Where neither scans nor odometry tell how far it went, it is taken to go on as fast as before. Its velocity changes meanwhile as
-//! in a random walk: white acceleration of the spectral density `q`, and with the error `s` of the velocity at the beginning
-//! the way is off by `σ² = q t³ / 3 + s² t²` after the time `t` (Bar-Shalom, Li, Kirubarajan 2001, "Estimation with Applications to
-//! Tracking and Navigation", 6.2.2). How large `q` is the same scanner tells where scans tell its way: the mean speeds
-//! of successive stretches of `t₁` and `t₂` differ by `q (t₁ + t₂) / 3` in the mean square.
+//! Where neither scans nor odometry measure the motion, the scanner is assumed to keep its velocity. The
+//! velocity changes meanwhile as in a random walk: white acceleration of the spectral density `q`. With
+//! the error `s` of the velocity at the beginning, the variance of the position after the time `t` is
+//! `σ² = q t³ / 3 + s² t²` (Bar-Shalom, Li, Kirubarajan 2001, "Estimation with Applications to Tracking and
+//! Navigation", 6.2.2). The same scanner shows how large `q` is where its motion is observed: the mean
+//! speeds of successive path segments of the durations `t₁` and `t₂` differ by `q (t₁ + t₂) / 3` in the
+//! mean square.
 
 use portolan_geometry::{Rigid2, Time};
 use portolan_numeric::CovarianceMatching;
 
 use super::motion::LONGEST_UNMEASURED;
 
-/// Spectral density of the acceleration before anything was learned, m²/s³: the speed changes by half a metre per second
-/// within a second.
+/// Spectral density of the acceleration before anything was learned, m²/s³: the speed changes by half a
+/// metre per second within a second.
 const DENSITY: f64 = 0.25;
-/// About so many stretches are remembered.
+/// Time constant of the estimated density, path segments.
 const MEMORY: f64 = 50.0;
-/// Of at least so many seconds, over which errors of poses hardly count.
+/// Minimum duration of a path segment, seconds: errors of poses hardly count over it.
 const STRETCH: f64 = 1.0;
-/// More slowly, m/s, it may as well stand.
+/// Speed below which the scanner may stand still, m/s.
 const SLOW: f64 = 0.1;
 
-/// What is known of the velocity of the scanner.
+/// Velocity of the scanner and its uncertainty.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Velocity {
     /// m/s.
@@ -31,25 +33,25 @@ pub(super) struct Velocity {
 }
 
 impl Velocity {
-    /// Whether it may as well stand: constant velocity guesses little then.
+    /// Whether the scanner may stand still: the guess of constant velocity is small then.
     pub fn is_rest(&self) -> bool {
         self.speed < SLOW
     }
 }
 
-/// A stretch in which scans told the way throughout.
+/// A path segment in which scans constrained the motion throughout.
 #[derive(Clone, Copy, Debug)]
 struct Stretch {
     from: (Time, Rigid2),
-    /// Seconds and mean speed, m/s, of the stretch before, which ended where this one began.
+    /// Duration, seconds, and mean speed, m/s, of the previous segment, which ended where this one began.
     before: Option<(f64, f64)>,
 }
 
-/// What was learned of changes of speed, and since when nothing has told the way.
+/// Learned changes of speed, and the time since which the motion has been unmeasured.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct GuessedWay {
     told: Option<Time>,
-    /// Then.
+    /// Velocity at that time.
     velocity: Velocity,
     density: CovarianceMatching,
     stretch: Option<Stretch>,
@@ -63,7 +65,7 @@ impl Default for GuessedWay {
 }
 
 impl GuessedWay {
-    /// The way to here was told by scans or odometry, or the scanner rests.
+    /// Adds a pose to which scans or odometry measured the motion, or at which the scanner rests.
     pub fn add_known(&mut self, time: Time, pose: &Rigid2, velocity: Velocity) {
         (self.told, self.velocity) = (Some(time), velocity);
         let Some(stretch) = self.stretch else {
@@ -82,22 +84,23 @@ impl GuessedWay {
         self.stretch = Some(Stretch { from: (time, *pose), before: Some((seconds, speed)) });
     }
 
-    /// Nothing told the way to here.
+    /// The motion to this time was unmeasured.
     pub fn is_guessed(&mut self, time: Time) {
         self.stretch = None;
         self.told.get_or_insert(time);
     }
 
-    /// Whether it rested when its way was told last, or nothing has ever told it.
+    /// Whether the scanner rested when its motion was last measured, or its motion has never been
+    /// measured.
     pub fn rested(&self) -> bool {
         self.told.is_none() || self.velocity.is_rest()
     }
 
-    /// How far the way to here may be off if nothing has told it since it was told last, metres.
+    /// Standard deviation of the position along the path since the last measurement, metres.
     pub fn sigma(&self, time: Time) -> f64 {
         let seconds = self.told.map_or(0.0, |told| time.seconds_since(told));
         let density = DENSITY * self.density.variance_factor();
-        // After long it may as well have stopped.
+        // After a long time the scanner may have stopped.
         let stopped = if seconds > LONGEST_UNMEASURED { 0.5 * self.velocity.speed } else { 0.0 };
         let velocity_variance = self.velocity.sigma.powi(2) + stopped.powi(2);
         (density * seconds.powi(3) / 3.0 + velocity_variance * seconds.powi(2)).sqrt()

@@ -1,52 +1,52 @@
-//! What is looked for in a submap, and what was found there.
+//! Search hypotheses of a scan in a submap, and their results.
 
 use portolan_geometry::Rigid2;
 use portolan_submaps::{ScanMatch2d, SearchWindow};
 
-/// A match beyond this fraction of the window may have its best place outside.
+/// Fraction of the window beyond which the optimum of a match may be outside the window; dimensionless.
 const AT_EDGE: f64 = 0.85;
 
-/// A search and what it found.
+/// A search and its best match.
 pub(super) struct Looked {
     pub around: Rigid2,
     pub window: SearchWindow,
     pub found: ScanMatch2d,
 }
 
-/// Which of the places that a scan may have been taken at is believed.
+/// Which of the candidate poses of a scan is accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Judgement {
-    /// Where it was found near its prediction.
+    /// The match near the prediction.
     Near,
-    /// Where it was found far from it.
+    /// The match far from the prediction.
     Far,
-    /// The prediction: what was found is not likely.
+    /// The prediction: the match is unlikely.
     Predicted,
 }
 
-/// Where a scan was looked for, and what was found there.
+/// Centre of the search for a scan, and the match found there.
 pub(super) struct Hypothesis {
     pub around: Rigid2,
     pub found: ScanMatch2d,
     pub basis: Basis,
-    /// Where else it may be: where odometry says, if it is believed to have caught up; where the velocity led, if nothing is known
-    /// of it any more.
+    /// Alternative pose of the scan: that of odometry, if odometry is assumed to have caught up; that of
+    /// constant velocity, if the velocity is no longer known.
     pub otherwise: Option<Rigid2>,
 }
 
-/// What says that a scan is somewhere.
+/// What the centre of the search is based on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Basis {
     /// Odometry or an IMU.
     Measured,
-    /// Odometry that was behind and has caught up.
+    /// Odometry that lagged behind and has caught up.
     CaughtUp,
-    /// Nothing but the motion before.
+    /// Only the previous motion (constant velocity).
     WentOn,
 }
 
 impl Hypothesis {
-    /// What fits best may lie outside the window.
+    /// Whether the optimum may be outside the window.
     pub fn is_at_edge(&self, window: SearchWindow) -> bool {
         let offset = self.around.inverse() * self.found.pose;
         offset.translation.amax() > AT_EDGE * window.linear || offset.angle.abs() > AT_EDGE * window.angular

@@ -1,8 +1,9 @@
-//! Which way is up in the tracking frame, by an IMU beside matched scans.
+//! Estimates the vertical in the tracking frame from an IMU and matched scans.
 //!
-//! An accelerometer alone shows gravity and motion together, and what a gyroscope drifts by looks like a lean. Scans tell the motion in
-//! the plane: with it an inertial filter ([`InertialEstimate`]) tells the lean and the bias of the gyroscope apart from it. What the
-//! extrapolator is given is the turn rate without bias, and up as the filter knows it instead of the acceleration.
+//! An accelerometer alone measures gravity and motion together, and the drift of a gyroscope looks like a
+//! tilt. Scans measure the motion in the plane. With it an inertial filter ([`InertialEstimate`])
+//! separates the tilt and the bias of the gyroscope. The extrapolator receives the angular velocity
+//! without bias, and the vertical of the filter instead of the acceleration.
 
 use portolan_geometry::nalgebra::{Matrix3, Vector3 as Vector};
 use portolan_geometry::{Duration, Quaternion, Rigid3, Time, Vector3, quaternion_from_angle_axis};
@@ -13,44 +14,50 @@ use portolan_motion::{
 use portolan_numeric::CovarianceMatching;
 use portolan_sensor::ImuData;
 
-/// Standard deviation of the lean that the mean of the first accelerations shows, radians: a platform that speeds up by 1 m/s².
+/// Standard deviation of the initial tilt from the mean of the first accelerations, radians: a platform
+/// that accelerates by 1 m/s².
 const FIRST_LEAN: f64 = 0.1;
-/// Standard deviation of a velocity that nothing tells, m/s: walkers, wheels.
+/// Standard deviation of an unmeasured velocity, m/s: walkers, wheels.
 const UNKNOWN_VELOCITY: f64 = 2.0;
-/// Standard deviations of matched poses: along each axis, metres, and of the heading, radians …
+/// Standard deviations of matched poses: along each axis, metres, and of the heading, radians.
 const PLACE: f64 = 0.03;
 const HEADING: f64 = 0.01;
-/// … and along each axis where most of it was predicted: errors of velocities that are smooth.
+/// Standard deviation of a pose along each axis where most of it was predicted, metres: errors of smooth
+/// velocities.
 const PREDICTED_PLACE: f64 = 0.3;
-/// Standard deviation of the height above the plane, metres: what is carried rises and sinks.
+/// Standard deviation of the height above the plane, metres: a carried scanner rises and sinks.
 const HEIGHT: f64 = 0.3;
-/// Standard deviation of a lean of which a scan tells nothing, radians.
+/// Standard deviation of the tilt by a scan, which does not measure it, radians.
 const UNKNOWN: f64 = 30.0;
-/// A pose that is so many standard deviations off is not where the motion led.
+/// Deviation of a matched pose from the prediction, in standard deviations, above which the filter is
+/// reset to it.
 const OUTLIER_SIGMAS: f64 = 5.0;
-/// The noise of an IMU is learned from about so many scans; beyond the factor it tells nothing.
+/// Covariance matching of the noise of the IMU: time constant, scans, and limits of the variance factor;
+/// at the upper one the IMU has no weight.
 const LEARNED: CovarianceMatching = CovarianceMatching::new(20.0).within(1.0, 1e6);
-/// Without a sample for so long the motion in between is not known.
+/// Gap between samples above which the motion in between is unknown.
 const MAX_GAP: Duration = Duration::from_ticks(5_000_000);
 
-/// Follows which way is up.
+/// Estimator of the vertical.
 #[derive(Clone, Debug)]
 pub(super) struct LevelFilter {
     phase: Phase,
     samples: ImuBuffer,
     last_sample: Option<ImuData>,
-    /// Errors of the IMU: as in 3D, but that the local map is level.
+    /// Errors of the IMU as in 3D, except that the local map is level.
     errors: InertialNoise,
-    /// How many times the variances of accelerations, and of turn rates and the walk of their bias, are what they are said to be.
+    /// Factors of the assumed variances of accelerations, and of angular velocities and the walk of their
+    /// bias.
     accelerations: CovarianceMatching,
     turns: CovarianceMatching,
 }
 
 #[derive(Clone, Debug)]
 enum Phase {
-    /// Before the first scan: the sum of accelerations in the tracking frame of the first sample, and that of now in it.
+    /// Before the first scan: the sum of accelerations in the tracking frame of the first sample, and the
+    /// present tracking frame in it.
     Averaging { sum: Vector3, first_from_tracking: Quaternion },
-    /// As of the last scan, and as of the last sample.
+    /// The estimates at the last scan and at the last sample.
     Filtering { at_scan: Box<InertialEstimate>, time: Time, now: Box<InertialEstimate> },
 }
 
@@ -68,8 +75,8 @@ impl Default for LevelFilter {
 }
 
 impl LevelFilter {
-    /// Takes a sample, in order of time. Gives it without bias, and with up as it is known in place of the acceleration. One that is none
-    /// is given as it is.
+    /// Takes a sample, in order of time. Gives it without bias, and with the estimated vertical in place
+    /// of the acceleration. An invalid or older sample is given back unchanged.
     pub fn add_imu(&mut self, data: &ImuData) -> ImuData {
         let is_finite = data.linear_acceleration.iter().chain(&data.angular_velocity).all(|v| v.is_finite());
         if !is_finite || self.last_sample.is_some_and(|last| data.time < last.time) {
@@ -101,7 +108,8 @@ impl LevelFilter {
         }
     }
 
-    /// Takes where a scan was matched; whether it tells the place, or most of that comes from the prediction.
+    /// Takes the matched pose of a scan. `tells_place`: the position was measured; otherwise most of it
+    /// comes from the prediction.
     pub fn add_pose(&mut self, time: Time, local_from_tracking: &Rigid3, tells_place: bool) {
         if self.last_sample.is_none() {
             return;
@@ -130,7 +138,8 @@ impl LevelFilter {
         self.phase = Phase::Filtering { at_scan: Box::new(at_scan), time, now: Box::new(now) };
     }
 
-    /// From one scan to the next, as the IMU says. Whether it says all of it: else nothing is changed.
+    /// Propagates the estimate from one scan to the next by the IMU. False, with the estimate unchanged,
+    /// if samples are missing.
     fn go_on(&self, estimate: &mut InertialEstimate, (from, to): (Time, Time)) -> bool {
         let samples = self.samples.all();
         let times = samples.iter().map(|sample| sample.time).filter(|time| (from..to).contains(time));
@@ -151,7 +160,7 @@ impl LevelFilter {
         true
     }
 
-    /// A matched pose tells place and heading.
+    /// Updates the estimate by a matched pose, which measures position and heading.
     fn correct(&mut self, estimate: &mut InertialEstimate, local_from_tracking: &Rigid3, tells_place: bool) {
         let unknown = UNKNOWN * UNKNOWN;
         let turn = estimate.rotation_to(&local_from_tracking.rotation);
@@ -170,7 +179,7 @@ impl LevelFilter {
             self.accelerations.add_relative(squared / 3.0);
         }
         if squared > OUTLIER_SIGMAS * OUTLIER_SIGMAS {
-            // It went there otherwise: by a jump, or because it was elsewhere all along.
+            // The motion was not that of the filter: the pose jumped, or was wrong before.
             estimate.place = local_from_tracking.translation.vector;
             estimate.velocity = Vector3::zeros();
             estimate.forget(InertialEntry::Place, PLACE);
@@ -185,7 +194,8 @@ impl LevelFilter {
 mod tests {
     use super::*;
 
-    /// Round and round at 1.4 m/s on a radius of 2 m, so that accelerations lean by 6° in the mean of any time.
+    /// Circles at 1.4 m/s on a radius of 2 m, so that accelerations are tilted by 6° in the mean over any
+    /// time.
     fn pose(t: f64) -> Rigid3 {
         let angle = 0.7 * t;
         let place = Vector3::new(2.0 * angle.cos(), 2.0 * angle.sin(), 0.0);
@@ -207,8 +217,9 @@ mod tests {
         Time::from_ticks(0) + Duration::from_seconds(t)
     }
 
-    /// The error of up after so many seconds, radians, and that of the turn rate, rad/s; and how far up was off at most since the
-    /// first half. Places are told in a share of the time alone.
+    /// The error of the vertical after this time, seconds, in radians, and that of the angular velocity,
+    /// rad/s; and the largest error of the vertical in the second half. Positions are measured at the
+    /// times `tells_place`.
     fn after(seconds: f64, bias: Vector3, tells_place: impl Fn(f64) -> bool) -> (f64, f64, f64) {
         let (mut filter, mut result) = (LevelFilter::default(), (0.0, 0.0, 0.0));
         for i in 1..=(100.0 * seconds) as i32 {
@@ -227,7 +238,7 @@ mod tests {
 
     #[test]
     fn neither_curves_nor_a_biased_gyroscope_make_it_lean() {
-        // In such curves a bias of the accelerometer cannot be told from both: 0.1 m/s² are 0.6°.
+        // In such curves a bias of the accelerometer cannot be separated from both: 0.1 m/s² are 0.6°.
         let (off, drift, _) = after(10.0, Vector3::new(0.05, -0.04, 0.03), |_| true);
         assert!(off.to_degrees() < 0.8 && drift < 0.01, "{off} {drift}");
         let (off, ..) = after(3.0, Vector3::zeros(), |_| true);

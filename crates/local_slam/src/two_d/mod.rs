@@ -42,15 +42,17 @@ pub struct LocalSlamExtras {
     pub use_all_odometry: bool,
     /// Largest fraction by which the prediction lowers the score of a match.
     pub search_penalty_limit: f64,
-    /// Seconds without any sensor after which the scan is looked for far and wide; 0 never does.
+    /// Gap without any sensor data, seconds, after which the scan is searched over a wide window; 0
+    /// disables it.
     pub wide_search_after_gap: f64,
-    /// Scans are searched as far as predictions were wrong lately, and farther where they contradict the map.
+    /// Adapt the search window to recent prediction errors, and search wider where a scan contradicts the
+    /// map.
     pub adaptive_search: bool,
-    /// A submap is full after this way, too, metres; 0 counts only scans.
+    /// Distance travelled after which a submap is full, too, metres; 0 counts only scans.
     pub submap_length: f64,
-    /// Nodes keep their scans, so that submaps can be drawn again.
+    /// Nodes keep their scans, so that submaps can be rasterised again.
     pub keep_scans: bool,
-    /// Submaps show what lies between neighbouring returns of one surface.
+    /// Submaps fill the space between neighbouring returns of one surface.
     pub join_surfaces: bool,
 }
 
@@ -81,7 +83,7 @@ impl LocalSlam2d {
         })
     }
 
-    /// Goes on with what was held back, with the motion that explains it best.
+    /// Processes the measurements that were held back, with the initial motion that explains them best.
     fn begin(&mut self) -> Vec<MatchingResult<Space2d>> {
         let (motion, held) = self.start.decided();
         match motion {
@@ -100,7 +102,7 @@ impl LocalSlam2d {
         held.into_iter().flat_map(|measurement| measurement.given_to(&mut self.front_end)).collect()
     }
 
-    /// Measurements are held back again where a piece of map was begun and nothing tells how the scanner moves.
+    /// Holds measurements back again where a new piece of map was begun and no sensor measures the motion.
     fn watch(&mut self) {
         if self.front_end.take_begun_anew() {
             self.start.reopen();
@@ -115,7 +117,7 @@ impl LocalSlam<Space2d> for LocalSlam2d {
         data: TimedPointCloudData,
     ) -> Vec<MatchingResult<Space2d>> {
         let Some(ranges) = self.collator.add(&sensor_id.id, data) else { return Vec::new() };
-        // While it is watched how the scanner moves, scans have to tell it.
+        // While the initial motion is being determined, every scan has to constrain it.
         if ranges.points.is_empty() && (self.start.is_open() || !self.front_end.is_adaptive()) {
             self.issues.add(Issue::new(IssueKind::ScanWithoutPoints).at(ranges.time));
             return Vec::new();

@@ -1,4 +1,4 @@
-//! The motion from one scan to the next: what is known of it, and how far it can lead.
+//! The motion from one scan to the next: what measured it, and how far it can lead.
 
 use std::f64::consts::PI;
 
@@ -6,32 +6,32 @@ use portolan_geometry::{Rigid2, Time};
 use portolan_motion::PoseExtrapolator;
 use portolan_submaps::SearchWindow;
 
-/// A robot in a building or carried through it moves and turns no faster than this, m/s and rad/s …
+/// Maximum speed and turn rate of a robot in a building, or of a carried scanner, m/s and rad/s.
 pub(super) const FASTEST: SearchWindow = SearchWindow { linear: 2.0, angular: 2.5 };
-/// … for so many seconds, where the motion was measured and where it was not.
+/// Maximum time over which [`FASTEST`] widens the search, seconds: for measured and for unmeasured motion.
 pub(super) const LONGEST_MEASURED: f64 = 0.5;
 pub(super) const LONGEST_UNMEASURED: f64 = 2.0;
-/// Standard deviation of the acceleration of a scanner, m/s²: what constant velocity neglects.
+/// Standard deviation of the acceleration of a scanner, m/s²: the error of constant velocity.
 pub(super) const ACCELERATION: f64 = 1.0;
-/// The same of the angular acceleration, rad/s².
+/// Standard deviation of its angular acceleration, rad/s².
 pub(super) const ANGULAR_ACCELERATION: f64 = 2.0;
-/// The largest acceleration of a scanner, even of one that is carried, m/s² and rad/s².
+/// Maximum acceleration of a scanner, even of one that is carried, m/s² and rad/s².
 const LARGEST_ACCELERATION: SearchWindow = SearchWindow { linear: 10.0, angular: 30.0 };
-/// No scan is searched farther than this, metres and radians.
+/// Maximum search window of a scan, metres and radians.
 pub(super) const WIDEST: SearchWindow = SearchWindow { linear: 3.0, angular: 1.6 };
 
-/// What sensors told of a motion.
+/// Which part of a motion sensors measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Measured {
     Nothing,
-    /// A gyroscope told how it turned. How far it went is not known.
+    /// A gyroscope measured the rotation. The translation is unmeasured.
     Rotation,
-    /// Odometry told all of it.
+    /// Odometry measured all of it.
     Whole,
 }
 
 impl Measured {
-    /// What an extrapolator knows of the motion from the last pose to a time.
+    /// What the extrapolator has measurements of, from the last pose to a time.
     pub fn since_last_pose(extrapolator: &PoseExtrapolator, time: Time) -> Self {
         if extrapolator.odometry_since_last_pose(time) {
             Self::Whole
@@ -50,16 +50,16 @@ pub(super) struct Motion {
     pub last: Rigid2,
     /// Seconds since then.
     pub seconds: f64,
-    /// What sensors told of it.
+    /// Which part of it was measured.
     pub measured: Measured,
-    /// The pose that odometry tells if its readings are too far apart to measure the motion.
+    /// Pose by odometry, if its readings are too far apart to measure the motion.
     pub between_readings: Option<Rigid2>,
-    /// Yaw of the tracking frame in the gravity-aligned frame whose motion this is, radians.
+    /// Yaw of the tracking frame in the gravity-aligned frame in which this motion is given, radians.
     pub tracking_yaw: f64,
 }
 
 impl Motion {
-    /// From the origin, over so many seconds.
+    /// Measured motion from the origin, over this time, seconds.
     #[cfg(test)]
     pub fn measured(seconds: f64) -> Self {
         Self {
@@ -71,22 +71,22 @@ impl Motion {
         }
     }
 
-    /// Whether odometry told how far it went.
+    /// Whether odometry measured the translation.
     pub fn is_measured(&self) -> bool {
         self.measured == Measured::Whole
     }
 
-    /// Whether it is known how it turned.
+    /// Whether the rotation was measured.
     pub fn is_rotation_measured(&self) -> bool {
         self.measured != Measured::Nothing
     }
 
-    /// Whether so much time has passed, with nothing that told how far it went, that nothing is left of a velocity.
+    /// Whether the translation was unmeasured for so long that the previous velocity is no longer valid.
     pub fn is_unknown(&self) -> bool {
         !self.is_measured() && self.seconds > LONGEST_UNMEASURED
     }
 
-    /// From the last scan to a pose, turned by at most half a turn.
+    /// Motion from the last scan to a pose, with its angle in ±π.
     pub fn to(&self, pose: &Rigid2) -> Rigid2 {
         let motion = self.last.inverse() * *pose;
         Rigid2 { angle: motion.normalized_angle(), ..motion }
@@ -108,7 +108,7 @@ fn turned_by(angle: f64, motion: &Rigid2) -> Rigid2 {
     Rigid2 { translation, ..*motion }
 }
 
-/// How far a scanner can be from where its velocity leads in so many seconds.
+/// Maximum offset of a scanner from its constant-velocity prediction after this time, seconds.
 pub(super) fn reached_by_acceleration(seconds: f64) -> SearchWindow {
     let square = seconds * seconds;
     SearchWindow {
@@ -117,7 +117,7 @@ pub(super) fn reached_by_acceleration(seconds: f64) -> SearchWindow {
     }
 }
 
-/// As far as the scanner can have moved.
+/// Search window that covers the distance the scanner can have moved.
 pub(super) fn wide_window(usual: SearchWindow, motion: Motion) -> SearchWindow {
     let seconds =
         |is_measured| motion.seconds.min(if is_measured { LONGEST_MEASURED } else { LONGEST_UNMEASURED });

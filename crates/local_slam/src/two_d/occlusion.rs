@@ -1,47 +1,52 @@
-//! What stands between the scanner and the place that the map knows: people close by, a cover, dust.
+//! Detects occlusion of the mapped surroundings: people close by, a cover, dust.
 //!
-//! Unexpected things in front of a scanner make beams shorter, never longer (Thrun, Burgard, Fox: Probabilistic Robotics, 6.3). A
-//! beam that ends where the map knows that nothing is, farther before anything solid than its prediction can be off, hit such a
-//! thing (the distance filter of Fox, Burgard, Thrun, Cremers: Position Estimation for Mobile Robots in Dynamic Environments,
-//! 1998). One chair more is a change of the map. Where many beams end so, they are left out of matching and of the map; where
-//! most do, and the map explains hardly any other, the scan says nothing of its pose.
+//! Unexpected objects in front of a scanner make beams shorter, never longer (Thrun, Burgard, Fox:
+//! Probabilistic Robotics, 6.3). A beam is occluded if it ends where the map is free, farther before
+//! anything solid than the error of the prediction explains (the distance filter of Fox, Burgard, Thrun,
+//! Cremers: Position Estimation for Mobile Robots in Dynamic Environments, 1998). A few such beams are a
+//! change of the map, such as a chair. Where many beams are occluded, they are left out of matching and of
+//! the map. Where most are occluded, and the map explains hardly any other, the scan does not constrain
+//! its pose.
 
 use portolan_grids::ScanAgreement;
 use portolan_sensor::{PointCloud, UsualReach, log_reach};
 
-/// Beams are left out if so many of them are occluded …
+/// Fraction of occluded beams from which on they are left out.
 pub(super) const MANY_OCCLUDED: f64 = 0.25;
-/// … and a scan sees nothing of the place if so many are, and the map explains so few
-/// (docs/experiments/2026-11-occlusion.md).
+/// Limits for a fully occluded scan: minimum fraction of occluded beams, and maximum fraction of explained
+/// ones (docs/experiments/2026-11-occlusion.md).
 const MOST_OCCLUDED: f64 = 0.5;
 const HARDLY_EXPLAINED: f32 = 0.3;
-/// The map explains a scan if it explains so many of its beams: more than a cover does that touches a wall.
+/// Fraction of explained beams from which on the map explains a scan: more than with a cover that touches
+/// a wall.
 const MOSTLY_EXPLAINED: f32 = 0.5;
-/// So many beams pass through walls for each that ends at one in cluttered rooms, where the scan was taken where it is expected.
+/// Maximum ratio of beams that pass through walls to beams that end at one, in cluttered rooms at the
+/// correct pose.
 const THROUGH_FOR_EACH_EXPLAINED: f32 = 0.5;
 
-/// How much a scan sees of the place.
+/// How much of the mapped surroundings a scan sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum View {
     Clear,
-    /// Part of it is hidden.
+    /// A part is occluded.
     Part,
-    /// So much of it that what is left says nothing of the pose.
+    /// So much is occluded that the rest does not constrain the pose.
     Nothing,
 }
 
-/// How far scans see that see the place, and the last one that did not.
+/// Reach of scans that are not occluded, and of the last one that was.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Occlusion {
-    /// Of scans that see the place.
+    /// Reach of scans that are not fully occluded.
     usual: UsualReach,
-    /// Logarithm of the reach of the last scan, if it saw nothing of it.
+    /// Logarithm of the reach of the last scan, if it was fully occluded.
     last: Option<f64>,
 }
 
 impl Occlusion {
-    /// What a scan with these returns sees where it is expected: how the map agrees with it there, and the share of its beams that
-    /// are occluded. After one that saw nothing of the place, how far it sees counts, too: the map may not know where it is now.
+    /// How much of the mapped surroundings a scan with these returns sees at its predicted pose, from its
+    /// agreement with the map there and its fraction of occluded beams. After a fully occluded scan the
+    /// reach counts, too, since the surroundings of the scanner may now be unknown.
     pub fn view(&mut self, agreement: &ScanAgreement, occluded: f64, returns: &PointCloud) -> View {
         let sees_nothing = occluded >= MOST_OCCLUDED && agreement.explained <= HARDLY_EXPLAINED
             || agreement.explained < MOSTLY_EXPLAINED && self.is_like_last(returns);
@@ -53,13 +58,14 @@ impl Occlusion {
         if occluded >= MANY_OCCLUDED { View::Part } else { View::Clear }
     }
 
-    /// Takes a scan that sees the place.
+    /// Learns the reach of a scan that is not fully occluded.
     pub fn sees_place(&mut self, returns: &PointCloud) {
         self.last = None;
         log_reach(returns.points.iter()).into_iter().for_each(|reach| self.usual.add(reach));
     }
 
-    /// Whether a scan sees rather as far as the last one, which saw nothing of the place, than as far as those that do.
+    /// Whether the reach of a scan is closer to that of the last scan, which was fully occluded, than to
+    /// the usual one.
     fn is_like_last(&self, returns: &PointCloud) -> bool {
         let reach = log_reach(returns.points.iter());
         let (Some(usual), Some(last), Some(reach)) = (self.usual.log_mean(), self.last, reach) else {
@@ -69,7 +75,7 @@ impl Occlusion {
     }
 }
 
-/// Whether so many beams pass through walls, for each that ends at one, that what is occluded does not explain it.
+/// Whether, for each beam that ends at a wall, more beams pass through walls than occlusion explains.
 pub(super) fn sees_through(agreement: &ScanAgreement) -> bool {
     agreement.through_solid > THROUGH_FOR_EACH_EXPLAINED * agreement.explained
 }

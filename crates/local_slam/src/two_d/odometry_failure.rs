@@ -1,10 +1,11 @@
-//! Odometry that fails for a while: wheels that stall, slip or are lifted, readings that stand still.
+//! Detects temporary failures of odometry: wheels that stall, slip or are lifted, readings that stand
+//! still.
 //!
-//! Two models of the motion since the last scan: odometry measured it, or odometry fails and the scanner went on as
-//! before. Where failing is not improbable both are followed to where the scan fits, and motion and map together say which
-//! one holds. The probability of failing is carried from scan to scan, since failures last (switching models: Blom,
-//! Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching coefficients", IEEE
-//! Transactions on Automatic Control 33, 1988).
+//! There are two models of the motion since the last scan: odometry measured it, or odometry fails and the
+//! velocity is constant. Where a failure is not improbable, the scan is matched with both, and the
+//! posteriors of motion and map decide. The probability of failing is carried from scan to scan, since
+//! failures last (switching models: Blom, Bar-Shalom, "The interacting multiple model algorithm for
+//! systems with Markovian switching coefficients", IEEE Transactions on Automatic Control 33, 1988).
 
 use portolan_geometry::{Rigid2, normalize_angle};
 
@@ -14,42 +15,42 @@ use super::motion::{
 use super::posterior::{MotionPrior, anywhere_density, normal_density};
 use super::prediction_error::PredictionSigmas;
 
-/// Probability that odometry begins to fail between two scans …
+/// Probability that odometry begins to fail between two scans.
 const BEGINS: f64 = 0.003;
-/// … that a failure lasts until the next one …
+/// Probability that a failure lasts until the next scan.
 const LASTS: f64 = 0.95;
-/// … that the velocity changes at once, as when it is pushed …
+/// Probability that the velocity changes at once, as when the scanner is pushed.
 const CHANGES: f64 = 0.003;
-/// … and by more than anything accelerates: only where it is hit.
+/// Probability that it changes by more than any acceleration allows, as in a collision.
 const IS_HIT: f64 = 3e-6;
-/// Odometry that fails stands still with this probability, slips with this one, else it reads anything.
+/// Probabilities that failing odometry stands still and that it slips; else its reading is arbitrary.
 const STANDS: f64 = 0.5;
 const SLIPS: f64 = 0.25;
-/// Standard deviations of what wheels that slip measure, metres and radians.
+/// Standard deviations of the motion reported by slipping wheels, metres and radians.
 const OF_SLIPS: PredictionSigmas = PredictionSigmas { translation: 0.3, rotation: 0.3 };
-/// Errors are within so many standard deviations.
+/// Maximum errors, in standard deviations, for a change of velocity to be possible.
 const WITHIN_SIGMAS: f64 = 3.0;
-/// A failure less probable than this is not followed.
+/// Probability of a failure below which its model is not tracked.
 const IMPROBABLE: f64 = 0.03;
 /// Standard deviations of the motion between two matched scans, metres and radians.
 const OF_MATCHES: PredictionSigmas = PredictionSigmas { translation: 0.02, rotation: 0.01 };
 
-/// Whether odometry fails, and how the scanner moved.
+/// Probability that odometry fails, and the last motion of the scanner.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OdometryFailure {
-    /// Probability that it fails, before the next reading is looked at.
+    /// Probability that it fails, before the next reading is considered.
     failing: f64,
     last: Option<LastMotion>,
-    /// Where the next scan is expected by either model, if failing is too improbable for it to be looked for there.
+    /// Priors of the next scan by both models, if a failure is too improbable for a search there.
     unfollowed: Option<Expected>,
 }
 
-/// The last motion as scans were matched.
+/// The last motion by matched scans.
 #[derive(Clone, Copy, Debug)]
 struct LastMotion {
     moved: Rigid2,
     seconds: f64,
-    /// Standard deviation of its translation beyond that of matches, metres: what scans left open.
+    /// Standard deviation of its translation beyond that of matches, metres, from degenerate directions.
     open: f64,
 }
 
@@ -57,13 +58,14 @@ struct LastMotion {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum MotionObservability {
     Full,
-    /// It leaves a direction open, or has few witnesses: most of the motion comes from the prediction.
+    /// It has a degenerate direction or few independent measurements: most of the motion comes from the
+    /// prediction.
     Weak,
-    /// As weak, and the scan was found far from the prediction: the motion is a guess.
+    /// The same, and the match was far from the prediction: the motion is a guess.
     Guess,
 }
 
-/// What either model says of the pose of the next scan.
+/// Priors of the pose of the next scan by both models.
 #[derive(Clone, Copy, Debug)]
 struct Expected {
     works: MotionPrior,
@@ -78,7 +80,7 @@ impl Default for OdometryFailure {
 }
 
 impl OdometryFailure {
-    /// Where the scanner moves like this in so many seconds, whatever odometry says.
+    /// State while the scanner has this motion over this time, seconds, against odometry.
     pub fn while_moving(moved: &Rigid2, seconds: f64) -> Self {
         Self {
             failing: LASTS,
@@ -87,8 +89,8 @@ impl OdometryFailure {
         }
     }
 
-    /// Takes where a scan was found that tells it well: odometry that is many standard deviations off there fails, although
-    /// what it measured was nothing unusual.
+    /// Takes the match of a scan without degenerate directions. Odometry that is many standard deviations
+    /// off there fails, although its reading was plausible by itself.
     pub fn add_pose(&mut self, pose: &Rigid2) {
         if let Some(expected) = self.unfollowed.take() {
             let odds = expected.fails.log_density(pose) - expected.works.log_density(pose);
@@ -96,7 +98,7 @@ impl OdometryFailure {
         }
     }
 
-    /// Takes how the scanner moved, and how well a scan constrained that.
+    /// Takes the motion of the scanner, and how well the scan constrained it.
     pub fn add_motion(&mut self, moved: &Rigid2, seconds: f64, observability: MotionObservability) {
         let before = self.last.map_or(0.0, |last| last.open * seconds / last.seconds);
         let open = match observability {
@@ -108,8 +110,8 @@ impl OdometryFailure {
         self.last = is_known.then_some(LastMotion { moved: *moved, seconds, open });
     }
 
-    /// Takes what odometry measured. Where the scanner is if odometry fails, and the logarithm of the odds of that; none
-    /// where it is improbable or nothing is known of the velocity.
+    /// Takes the motion by odometry. Gives the prior of the pose if odometry fails, and the logarithm of
+    /// the odds of a failure; none where it is improbable or the velocity is unknown.
     pub fn add_measured(&mut self, motion: Motion, measured: &MotionPrior) -> Option<(MotionPrior, f64)> {
         self.unfollowed = None;
         let expected = self.expected(motion, measured)?;
@@ -122,7 +124,8 @@ impl OdometryFailure {
         None
     }
 
-    /// Where the scanner is if what odometry measured says, before a scan is looked at, that it rather fails than works.
+    /// Pose of the scanner without odometry, if the reading alone, before the scan is matched, makes a
+    /// failure more likely than not.
     pub fn suspected(&self, motion: Motion, measured: &MotionPrior) -> Option<Rigid2> {
         let expected = self.expected(motion, measured)?;
         (expected.log_odds > 0.0).then_some(expected.fails.prediction)
@@ -165,7 +168,7 @@ impl OdometryFailure {
         Some(Expected { works: *measured, fails: MotionPrior { prediction, sigmas }, log_odds })
     }
 
-    /// Whether odometry fails, with the logarithm of the odds of that before the scan was looked at, and after.
+    /// Whether odometry fails, from the logarithm of its odds by the prior and the match.
     pub fn fails(&mut self, log_odds: f64) -> bool {
         self.failing = after(log_odds);
         log_odds > 0.0
@@ -189,7 +192,8 @@ mod tests {
     const SECONDS: f64 = 0.2;
     const SIGMAS: PredictionSigmas = PredictionSigmas { translation: 0.02, rotation: 0.01 };
 
-    /// What one scan says of odometry that measured so many metres while the scanner moved so far the scan before.
+    /// Result of one scan if odometry measured `metres` after the scanner had moved by `moved`, metres, in
+    /// the interval before.
     fn measured(failure: &mut OdometryFailure, moved: f64, metres: f64) -> Option<(MotionPrior, f64)> {
         measured_after(failure, (moved, MotionObservability::Full), metres)
     }
@@ -212,7 +216,7 @@ mod tests {
         assert!((went_on.prediction.translation.x - 0.25).abs() < 1e-12);
         assert!(log_odds.abs() < 2.0, "{log_odds}");
         assert!(failure.fails(log_odds + 5.0));
-        // The scanner slows down: both models are followed although they agree nearly.
+        // The scanner slows down: both models are tracked although they nearly agree.
         let (_, log_odds) = measured(&mut failure, 0.05, 0.0).expect("failures last");
         assert!(log_odds > 1.0, "{log_odds}");
     }
@@ -242,7 +246,7 @@ mod tests {
     #[test]
     fn wheels_that_slip_are_told_from_where_the_scan_was_found() {
         let mut failure = OdometryFailure::default();
-        // What they measured might have been: a push.
+        // The reading is plausible as a push.
         assert!(measured(&mut failure, 0.26, 0.48).is_none());
         assert!(failure.failing < 0.1, "{failure:?}");
         failure.add_pose(&Rigid2::new(0.26, 0.0, 0.0));

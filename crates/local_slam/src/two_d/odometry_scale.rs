@@ -1,41 +1,46 @@
-//! By which factor odometry measures distances wrong, as wheels of another size than assumed make it, in which direction, as a
-//! scanner makes it that is mounted at another yaw than said, and how far from the scanner the point is whose motion it tells, as one
-//! makes it that is mounted elsewhere.
+//! Calibrates odometry in 2D: the scale of its distances, wrong if wheels have another size than assumed;
+//! the direction of its motion, wrong if the scanner is mounted at another yaw than given; and the lever
+//! arm between the scanner and the point whose motion odometry measures, wrong if the scanner is mounted
+//! elsewhere.
 //!
-//! Matched scans say by how much measured motion was too short, how far to the side of it they went, and how far they went for each radian
-//! turned. These are states of Kalman filters whose measurements are the innovations of the pose (calibration of odometry along with the
-//! pose: Martinelli, Tomatis, Siegwart, "Simultaneous localization and odometry self calibration for mobile robot", Autonomous
-//! Robots 22, 2007). Loads and floors change them slowly. Turns are left as measured: scans tell them well enough by themselves.
+//! Matched scans show by how much the measured motion was too short, how far it deviated to the side, and
+//! the displacement for each radian turned. These are states of Kalman filters whose measurements are the
+//! innovations of the pose (calibration of odometry along with the pose: Martinelli, Tomatis, Siegwart,
+//! "Simultaneous localization and odometry self calibration for mobile robot", Autonomous Robots 22,
+//! 2007). Loads and floors change them slowly. Rotations are left as measured, since scans determine them
+//! well enough by themselves.
 
 use portolan_geometry::{Rigid2, Vector2};
 
-/// Standard deviation of a share of the way before anything was seen, and of a part of the lever arm, metres.
+/// Prior standard deviation of the scale and direction errors, as a fraction of the distance, and of each
+/// component of the lever arm, metres.
 const PRIOR: f64 = 0.05;
 const PRIOR_OF_LEVER: f64 = 0.3;
-/// What is known of it grows uncertain by this variance for each metre or radian.
+/// Random walk of the states: variance added for each metre or radian.
 const WALK: f64 = 1e-5;
-/// An innovation counts as at most so many standard deviations: a slip or a stall says little of the wheels (Huber 1964).
+/// Maximum innovation, in standard deviations: slips and stalls hardly change the calibration (Huber
+/// 1964).
 const LARGEST: f64 = 1.0;
-/// Errors up to this share of the way, and up to so many metres for each radian, are expected of any odometry, and searches are wide
-/// enough for them.
+/// Error that any odometry is expected to have and that is not corrected: fraction of the distance, or
+/// metres for each radian. Search windows cover it.
 const USUAL: f64 = 0.05;
-/// A larger one is corrected if it is so many standard deviations.
+/// Minimum size of a larger error for its correction, in standard deviations.
 const SIGNIFICANT: f64 = 3.0;
-/// Turns beyond this tell nothing of the lever arm, radians.
+/// Rotation above which a motion does not update the lever arm, radians.
 const LARGEST_TURN: f64 = 0.5;
 
-/// What measured distances are to be multiplied by, how far to the left of them it went, and where the scanner is.
+/// Corrections of odometry: factor of the distance, deviation to the left, and position of the scanner.
 #[derive(Clone, Copy, Debug)]
 pub struct OdometryScale {
-    /// Shares of the measured way, and how far they are from what odometry says.
+    /// Errors along and to the left of the measured motion, as fractions of its length.
     along: Share,
     across: Share,
-    /// How far the scanner is ahead and to the left of where odometry has it, metres.
+    /// Position of the scanner ahead and to the left of where odometry has it, metres.
     ahead: Share,
     left: Share,
 }
 
-/// By how much more the motion was than measured, for each metre of it or for each radian, as far as that is known.
+/// Estimate and variance of the motion in excess of the measured one, for each metre or each radian of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Share {
     offset: f64,
@@ -47,13 +52,14 @@ impl Share {
         Self { offset: 0.0, variance: sigma.powi(2) }
     }
 
-    /// The offset if it is called for to correct it.
+    /// The offset if it is large and significant enough to be corrected, else 0.
     fn correction(&self) -> f64 {
         let off = self.offset.abs();
         if off < USUAL || off < SIGNIFICANT * self.variance.sqrt() { 0.0 } else { self.offset }
     }
 
-    /// Takes by how much more the motion was than measured, over so many metres or radians, with its standard deviation, metres.
+    /// Updates the estimate by the excess of the motion over the measured one, metres, over the motion
+    /// `moved`, metres or radians, with the standard deviation `sigma`, metres.
     fn add(&mut self, more: f64, moved: f64, sigma: f64) {
         self.variance += WALK * moved.abs();
         let variance = self.variance * moved.powi(2) + sigma.powi(2);
@@ -73,7 +79,7 @@ impl Default for OdometryScale {
 }
 
 impl OdometryScale {
-    /// The motion that was measured, corrected if that is called for.
+    /// The measured motion, corrected where the errors are significant.
     pub fn corrected(&self, measured: &Rigid2) -> Rigid2 {
         let (along, across) = (1.0 + self.along.correction(), self.across.correction());
         let lever = Vector2::new(self.ahead.correction(), self.left.correction());
@@ -82,17 +88,17 @@ impl OdometryScale {
         Rigid2 { translation: way + turned, ..*measured }
     }
 
-    /// How many times as far as scans odometry goes; none where that is not corrected.
+    /// Ratio of the distance by odometry to that by scans; none where it is not corrected.
     pub fn factor(&self) -> Option<f64> {
         let correction = self.along.correction();
         (correction != 0.0).then(|| 1.0 / (1.0 + correction))
     }
 
-    /// Takes what the motion was by matching, with the standard deviation that predictions of it have along each axis,
-    /// metres.
+    /// Updates the calibration by the motion from matching, `moved`, with the standard deviation of its
+    /// prediction along each axis, metres.
     pub fn add(&mut self, measured: &Rigid2, moved: &Rigid2, sigma: f64) {
         let more = moved.translation - self.corrected(measured).translation;
-        // For a turn so small a lever arm moves across itself.
+        // A small rotation moves the scanner perpendicular to its lever arm.
         let turned = moved.normalized_angle();
         if turned.abs() < LARGEST_TURN {
             let (ahead, left) = (self.ahead.correction(), self.left.correction());
@@ -120,7 +126,7 @@ mod tests {
 
     const SIGMA: f64 = 0.025;
 
-    /// Drives on and bends to and fro, with odometry that is always off by the same.
+    /// Drives forwards in gentle bends, with a constant error of odometry.
     fn learned(factor: f64, noise: f64) -> OdometryScale {
         let mut scale = OdometryScale::default();
         for step in 0..600 {

@@ -1,10 +1,11 @@
-//! Which of several poses a scan was taken at: what the map says of its beams, and what the motion says before it was
-//! taken (maximum a posteriori, Bayes).
+//! Which of several poses a scan was taken at: maximum a posteriori (Bayes) of the agreement of its beams
+//! with the map and of the motion prior.
 //!
-//! The prior is a mixture: the predicted motion with its learned errors, or, seldom, a slip, a stall, a push or a jump of
-//! the odometry, after which the scanner is anywhere it can have got to. So a pose far from the prediction needs much
-//! better evidence than one nearby, but not infinitely much. Beams are not independent: neighbours hit the same person
-//! or wall, and a scan says as much as its [`Witnesses`].
+//! The prior is a mixture: the predicted motion with its learned errors, or, seldom, a slip, a stall, a
+//! push or a jump of the odometry, after which the scanner may be anywhere within reach. So a pose far
+//! from the prediction needs much better evidence than one nearby, but not infinitely much. Beams are not
+//! independent: neighbours hit the same person or wall. A scan counts as as many independent measurements
+//! as its [`Witnesses`].
 
 use std::f64::consts::TAU;
 
@@ -14,22 +15,25 @@ use portolan_grids::ScanAgreement;
 use super::prediction_error::PredictionSigmas;
 use super::witnesses::Witnesses;
 
-/// What an explained beam says for a pose, and a contradicted one against it, in nats. At a right pose four of five beams
-/// are explained and one of twelve is contradicted, at a wrong one a quarter and a half.
+/// Evidence of an explained beam for a pose, and of a contradicted beam against it, nats. At a correct
+/// pose four of five beams are explained and one of twelve is contradicted; at a wrong pose a quarter and
+/// a half.
 const EXPLAINED: f64 = 1.2;
 const CONTRADICTED: f64 = 1.8;
-/// The same share of beams that end in free space, at right poses and at wrong ones.
+/// Fraction of beams that end in free space, at correct and at wrong poses.
 const IN_FREE_SPACE: (f64, f64) = (1.0 / 12.0, 0.5);
-/// A scan tells how beams agree with the map if the map knows this share of them.
+/// Fraction of beams that the map must know for a scan to update the statistics of agreement;
+/// dimensionless.
 const KNOWN: f32 = 0.5;
-/// About so many scans tell how many people there are.
+/// Time constant of the fraction of beams that end in free space, scans: it depends on the number of
+/// people.
 const SCANS: f64 = 5.0;
-/// Probability that the motion was none that its learned errors explain.
+/// Probability that the learned errors do not explain the motion.
 const OUTLIER: f64 = 0.003;
-/// Where the scanner may be then: as far to each side as is searched, at any heading.
+/// Range of the scanner in that case, metres: as far to each side as is searched, at any heading.
 const OUTLIER_METRES: f64 = super::motion::WIDEST.linear;
 
-/// What the motion says.
+/// Prior of the pose by the motion.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MotionPrior {
     pub prediction: Rigid2,
@@ -43,7 +47,8 @@ impl MotionPrior {
         ((1.0 - OUTLIER) * usual + OUTLIER * anywhere_density()).ln()
     }
 
-    /// Logarithm of how likely a pose is where the map agrees with the scan like this, up to a constant.
+    /// Logarithm of the posterior of a pose where the map agrees with the scan like this, up to a
+    /// constant.
     pub fn log_posterior(
         &self,
         pose: &Rigid2,
@@ -53,7 +58,7 @@ impl MotionPrior {
         self.log_density(pose) + evidence.log_likelihood(agreement, witnesses)
     }
 
-    /// By how many standard deviations a pose is off the prediction.
+    /// Deviation of a pose from the prediction, in standard deviations.
     pub fn deviation(&self, pose: &Rigid2) -> f64 {
         let offset = self.prediction.inverse() * *pose;
         (offset.translation.norm() / self.sigmas.translation)
@@ -61,8 +66,9 @@ impl MotionPrior {
     }
 }
 
-/// What beams say of a pose. Where people walk about beams end in what was free space at the right pose, too, and such
-/// beams say little against it; how many do is learned from where scans were found lately. Nothing sees through walls.
+/// Evidence of beams for a pose. Where people walk about, beams end in former free space at the correct
+/// pose, too, and such beams say little against it. Their fraction is learned from recent matches. No beam
+/// passes through a wall.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BeamEvidence {
     in_free_space: f64,
@@ -75,14 +81,15 @@ impl Default for BeamEvidence {
 }
 
 impl BeamEvidence {
-    /// Takes how the map agreed with one more scan.
+    /// Updates the statistics by the agreement of one more scan with the map.
     pub fn add(&mut self, agreement: &ScanAgreement) {
         if agreement.explained + agreement.contradicted() >= KNOWN {
             self.in_free_space += (f64::from(agreement.in_free_space) - self.in_free_space) / SCANS;
         }
     }
 
-    /// Logarithm of the likelihood ratio of a right pose and a wrong one. Beams of which the map knows nothing say nothing.
+    /// Logarithm of the likelihood ratio of a correct and a wrong pose. Beams in unknown cells do not
+    /// count.
     pub fn log_likelihood(&self, agreement: &ScanAgreement, witnesses: Witnesses) -> f64 {
         let (right, wrong) = IN_FREE_SPACE;
         let in_free_space = (wrong / self.in_free_space.clamp(right, wrong)).ln();
@@ -102,7 +109,7 @@ pub(super) fn normal_density(offset: &Rigid2, sigmas: PredictionSigmas) -> f64 {
     (-0.5 * (metres.powi(2) + radians.powi(2))).exp() / (TAU.powf(1.5) * translation.powi(2) * rotation)
 }
 
-/// Density of a motion of which nothing is known, 1/(m² rad).
+/// Density of a pose within the outlier range of which nothing else is known, 1/(m² rad).
 pub(super) fn anywhere_density() -> f64 {
     1.0 / ((2.0 * OUTLIER_METRES).powi(2) * TAU)
 }
@@ -155,7 +162,7 @@ mod tests {
             after(evidence, 0.65, -53.0, far) > after(evidence, 0.0, 0.0, predicted)
         };
         assert!(is_followed(&evidence));
-        // Scans of new surroundings say nothing of people.
+        // Scans of new surroundings do not update the statistics of people.
         (0..20).for_each(|_| evidence.add(&agreement((0.1, 0.1))));
         assert!(is_followed(&evidence));
         (0..4).for_each(|_| evidence.add(&agreement((0.43, 0.45))));

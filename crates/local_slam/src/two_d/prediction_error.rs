@@ -1,8 +1,8 @@
-//! How far predictions are off, learned from how scans were matched.
+//! Learns the errors of predictions from matched scans.
 //!
-//! The error of a prediction grows with the motion that was predicted. By which factor is estimated from the
-//! innovations (what matching adds to predictions), which have the covariance of the prediction where scans
-//! tell the pose well.
+//! The error of a prediction grows with the predicted motion. Its factor is estimated from the innovations
+//! (corrections of predictions by matching), which have the covariance of the prediction where scans
+//! constrain the pose well (covariance matching).
 
 use portolan_geometry::Rigid2;
 use portolan_numeric::CovarianceMatching;
@@ -16,16 +16,17 @@ pub struct PredictionSigmas {
     pub rotation: f64,
 }
 
-/// Errors before anything was learned: at rest (encoders, uneven stamps), and for each metre and radian.
+/// Errors assumed before anything was learned: at rest (encoders, uneven time stamps), and for each metre
+/// and radian.
 const AT_REST: PredictionSigmas = PredictionSigmas { translation: 0.02, rotation: 0.01 };
 const PER_METRE: PredictionSigmas = PredictionSigmas { translation: 0.05, rotation: 0.02 };
 const PER_RADIAN: PredictionSigmas = PredictionSigmas { translation: 0.05, rotation: 0.05 };
-/// About so many scans are remembered.
+/// Time constant of the statistics, scans.
 const MEMORY: f64 = 50.0;
-/// The factor stays between these.
+/// Limits of the factor.
 const FACTORS: (f64, f64) = (0.5, 6.0);
 
-/// What was learned so far.
+/// Learned factors of the assumed errors.
 #[derive(Clone, Copy, Debug)]
 pub struct PredictionError {
     translation: CovarianceMatching,
@@ -40,7 +41,7 @@ impl Default for PredictionError {
 }
 
 impl PredictionError {
-    /// The error to be expected of a predicted motion.
+    /// Expected error of a predicted motion.
     pub fn sigmas(&self, motion: &Rigid2) -> PredictionSigmas {
         let expected = expected(motion);
         let factor = |learned: &CovarianceMatching| learned.sigma_factor().clamp(FACTORS.0, FACTORS.1);
@@ -50,10 +51,10 @@ impl PredictionError {
         }
     }
 
-    /// Takes what matching added to the prediction of a motion.
+    /// Updates the factors by the innovation of a predicted motion.
     pub fn add(&mut self, motion: &Rigid2, innovation: &Rigid2) {
         let expected = expected(motion);
-        // Two axes share the length.
+        // The length of the offset is of two axes.
         let along_each_axis = innovation.translation.norm() / std::f64::consts::SQRT_2;
         self.translation.add((along_each_axis / expected.translation).powi(2));
         self.rotation.add((innovation.angle / expected.rotation).powi(2));
@@ -68,7 +69,7 @@ fn expected(motion: &Rigid2) -> PredictionSigmas {
     }
 }
 
-/// How well scans fitted lately: mean and standard deviation of their scores.
+/// Fit of recent scans: mean and standard deviation of their scores.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct UsualScore {
     scans: f64,
@@ -76,18 +77,18 @@ pub struct UsualScore {
     variance: f64,
 }
 
-/// A score so many standard deviations below the mean is low.
+/// Number of standard deviations below the mean from which on a score is low.
 const LOW_SIGMAS: f64 = 2.5;
-/// As soon as so many scans were seen.
+/// Minimum number of scans before a score counts as low.
 const ENOUGH_SCANS: f64 = 10.0;
 
 impl UsualScore {
-    /// Whether a score is lower than those of the last scans let expect.
+    /// Whether a score is significantly lower than those of recent scans.
     pub fn is_low(&self, score: f32) -> bool {
         self.scans >= ENOUGH_SCANS && f64::from(score) < self.mean - LOW_SIGMAS * self.variance.sqrt()
     }
 
-    /// Takes the score of one more scan.
+    /// Adds the score of one more scan.
     pub fn add(&mut self, score: f32) {
         self.scans = (self.scans + 1.0).min(MEMORY);
         let difference = f64::from(score) - self.mean;

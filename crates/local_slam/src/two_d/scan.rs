@@ -1,4 +1,4 @@
-//! A scan that is looked for, and how much its match is to be believed.
+//! A scan to be matched, and the weight of its match against the prediction.
 
 use portolan_geometry::Rigid2;
 use portolan_grids::score_difference;
@@ -8,19 +8,19 @@ use portolan_submaps::Submap2d;
 use super::posterior::MotionPrior;
 use super::witnesses::Witnesses;
 
-/// By so many standard errors the map has to fit better to tell two poses apart.
+/// Minimum difference of the fits of two poses that tells them apart, in standard errors.
 const SIGNIFICANT: f64 = 2.0;
 
-/// What a search needs: the scan and where it is looked for.
+/// Input of a search: the scan and the submap.
 #[derive(Clone, Copy)]
 pub(super) struct Scan<'a> {
     /// The points to match, metres, gravity-aligned.
     pub cloud: &'a PointCloud,
-    /// All returns, of which `cloud` was picked.
+    /// All returns; `cloud` is a selection of them.
     pub returns: &'a PointCloud,
-    /// What to match against.
+    /// Submap to match against.
     pub submap: &'a Submap2d,
-    /// Independent witnesses among the returns.
+    /// Number of independent measurements among the returns.
     pub witnesses: Witnesses,
 }
 
@@ -29,8 +29,9 @@ impl<'a> Scan<'a> {
         Self { cloud, returns, submap, witnesses: Witnesses::of(returns) }
     }
 
-    /// Whether the map says that the scan was taken neither this far to one side of where it was found nor to the other, with
-    /// weights for its returns. The offset is in the frame of the scan.
+    /// Whether the scan constrains its pose against this offset: the map fits significantly worse at the
+    /// offset to either side of the match, with weights for the returns. The offset is in the frame of the
+    /// scan.
     pub fn tells(&self, found: &Rigid2, offset: Rigid2, weights: &[f32]) -> bool {
         [offset, offset.inverse()].iter().all(|offset| {
             let poses = [found, &(*found * *offset)];
@@ -38,8 +39,9 @@ impl<'a> Scan<'a> {
         })
     }
 
-    /// Which share of the way from the prediction to where the scan was found to believe. Both measure the pose: the
-    /// prediction with its standard deviations, the scan by how significantly the map fits better where it was found.
+    /// Fraction of the motion from the prediction to the match to accept. Both measure the pose: the
+    /// prediction with its standard deviations, the scan by how significantly the map fits better at the
+    /// match.
     pub fn match_share(&self, prior: &MotionPrior, found: &Rigid2) -> f64 {
         let poses = [found, &prior.prediction];
         let weights = vec![1.0; self.returns.points.len()];
@@ -51,7 +53,7 @@ impl<'a> Scan<'a> {
     }
 }
 
-/// A pose on the way from one to another, at this share of it.
+/// Interpolated pose, at this fraction of the motion from one pose to another.
 pub(super) fn with_share(from: &Rigid2, to: &Rigid2, share: f64) -> Rigid2 {
     let offset = from.inverse() * *to;
     *from * Rigid2 { translation: offset.translation * share, angle: offset.normalized_angle() * share }

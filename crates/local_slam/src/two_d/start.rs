@@ -1,10 +1,11 @@
-//! How the scanner moves when recording begins.
+//! Determines the motion of the scanner at the start of a recording.
 //!
-//! A robot mostly stands then, but a vehicle may be at speed, and one scan says nothing of that. So the first second is held back,
-//! as in 3D: the second scan is looked for as far from the first as anything drives, scans are followed with each of the motions that
-//! this leads to, and the one that explains them best, given how likely it was before, is believed (maximum a posteriori). Where odometry
-//! tells the motion, this is done only where scans fit worse with it than scans usually do, and another motion must be far more likely:
-//! wheels may not be read at all.
+//! A robot mostly stands then, but a vehicle may be at speed, and one scan does not constrain the
+//! velocity. So the first second is held back, as in 3D. The second scan is searched around the first
+//! within the range of any vehicle. Scans are then tracked with each of the motions found, and the one
+//! with the maximum posterior is accepted (maximum a posteriori). Where odometry measures the motion, this
+//! is done only if scans fit worse with it than scans usually do, and another motion must be far more
+//! likely: the wheel encoders may not be read at all.
 
 use std::f64::consts::TAU;
 
@@ -22,43 +23,46 @@ use super::scan::Scan;
 use super::tracking::{Found, Tracker};
 use crate::{MOST_GATHERED_POINTS, MatchingResult, Space2d};
 
-/// So long the motion is watched before it is judged.
+/// Time for which measurements are held back before the motion is decided.
 const WATCHED: Duration = Duration::from_ticks(10_000_000);
-/// Scans farther apart than this, seconds, share too little at speed.
+/// Maximum time between scans, seconds; beyond it scans overlap too little at speed.
 const LONGEST_INTERVAL: f64 = 0.4;
-/// With fewer scans nothing is judged.
+/// Minimum number of scans for a decision.
 const FEWEST_SCANS: usize = 4;
-/// Nothing that carries a planar scanner is faster, m/s.
+/// Maximum speed of a platform with a planar scanner, m/s.
 const FASTEST: f64 = 30.0;
-/// No scan is looked for farther from the one before, metres.
+/// Maximum search range around the previous scan, metres.
 const FARTHEST: f64 = 4.0;
-/// Half the edge of the squares that are searched one by one, each for one motion, metres, and how far the scanner may have turned,
+/// Search window of one square, each searched for one motion: half its edge, metres, and maximum rotation,
 /// radians.
 const SQUARE: SearchWindow = SearchWindow { linear: ALIKE, angular: 0.08 };
-/// A scan is followed if it is so near where the motion leads, metres and radians.
+/// Search window of a tracked scan around its prediction, metres and radians.
 pub(super) const NEAR: SearchWindow = SearchWindow { linear: 0.2, angular: 0.1 };
-/// So many motions are followed, beside none.
+/// Maximum number of motions that are tracked, beside standing still.
 const FOLLOWED: usize = 4;
-/// A motion is given up if, after some scans, it is less likely than another one after as many, by so many nats.
+/// Number of scans after which a motion may be dropped, and by how many nats it must be less likely than
+/// another one after the same number of scans.
 const SCANS_BEFORE_GIVEN_UP: usize = 3;
 const GIVEN_UP: f64 = 50.0;
-/// Motions that differ by less than this from scan to scan, metres, are the same.
+/// Displacement between two scans below which two motions count as the same, metres.
 const ALIKE: f64 = 0.15;
-/// How well a scan tells a motion: metres and radians.
+/// Standard deviations of a motion by matching: metres and radians.
 const MATCHED: PredictionSigmas = PredictionSigmas { translation: 0.05, rotation: 0.02 };
-/// This share of recordings begins at speed, any up to [`FASTEST`] being as likely; in the others the velocity has this standard
-/// deviation along each axis, m/s. Slices of real drives and logs of buildings are far from the border between both
+/// Prior of the velocity: fraction of recordings that begin at speed, any speed up to [`FASTEST`] being
+/// equally likely, and standard deviation of the velocity along each axis in the others, m/s. Slices of
+/// real drives and logs of buildings are far from the border between both
 /// (docs/experiments/2026-11-planar-starts.md).
 const AT_SPEED: f64 = 0.1;
 const SLOW: f64 = 0.5;
 
-/// Scans that lie right among those before them are mostly more likely than this, each, in nats: where odometry leads to that, no other
-/// motion is looked for. Scans of buildings nearly always reach it where odometry works, those at speed with wheels that stand do not
-/// (docs/experiments/2026-11-planar-starts.md).
+/// Log-likelihood per scan, nats, above which no motion but that of odometry is searched. Scans that fit
+/// those before them mostly exceed it. Scans of buildings nearly always do where odometry works; scans at
+/// speed with wheels that stand do not (docs/experiments/2026-11-planar-starts.md).
 const USUAL: f64 = 25.0;
-/// Odometry is not believed where another motion is more likely by so many nats. The beams of a scan share errors and the second holds
-/// few scans, so the evidence is overrated. The limit lies between what another motion reaches where odometry works and where wheels
-/// stand at speed (docs/experiments/2026-11-planar-starts.md).
+/// Log-likelihood by which another motion must exceed that of odometry to be accepted, nats. The beams of
+/// a scan share errors and the second holds few scans, so the evidence is overrated. The limit is between
+/// the values of other motions where odometry works and where wheels stand at speed
+/// (docs/experiments/2026-11-planar-starts.md).
 const ODOMETRY_WORKS: f64 = 100.0;
 
 /// A velocity in 2D.
@@ -71,17 +75,17 @@ pub(super) struct Velocity {
 }
 
 impl Velocity {
-    /// Where it leads in so many seconds.
+    /// Motion over this time, seconds.
     pub fn motion(&self, seconds: f64) -> Rigid2 {
         Rigid2 { translation: self.linear * seconds, angle: self.angular * seconds }
     }
 
-    /// What leads there in so many seconds.
+    /// Velocity of a motion over this time, seconds.
     fn to(motion: &Rigid2, seconds: f64) -> Self {
         Self { linear: motion.translation / seconds, angular: motion.normalized_angle() / seconds }
     }
 
-    /// Logarithm of how likely it is before anything is measured, up to a constant.
+    /// Logarithm of its prior density, up to a constant.
     fn log_prior(&self) -> f64 {
         let speed = self.linear.norm();
         let slow = (-0.5 * (speed / SLOW).powi(2)).exp() / (TAU * SLOW * SLOW);
@@ -99,7 +103,7 @@ pub(super) enum Held {
 }
 
 impl Held {
-    /// Hands it on.
+    /// Passes it to the front end.
     pub fn given_to(self, front_end: &mut FrontEnd) -> Vec<MatchingResult<Space2d>> {
         match self {
             Self::Ranges(ranges) => front_end.add_ranges(ranges),
@@ -112,24 +116,24 @@ impl Held {
     }
 }
 
-/// What a front end does besides mapping.
+/// Task of a front end besides mapping.
 #[derive(Clone, Debug)]
 pub(super) enum Role {
-    /// Nothing.
+    /// None: it only maps.
     Mapping,
-    /// It says which motions the second scan may show.
+    /// Proposes motions that the second scan may show.
     Proposing(Vec<Velocity>),
-    /// It tells how likely all is after each scan (logarithm).
+    /// Gives the log-posterior of all scans so far, after each scan.
     Judged(Vec<f64>),
 }
 
 impl Role {
-    /// Whether what becomes of its map does not matter.
+    /// Whether its map is discarded.
     pub fn is_trial(&self) -> bool {
         !matches!(self, Self::Mapping)
     }
 
-    /// Takes note of a scan that was found.
+    /// Processes a matched scan.
     pub fn note(
         &mut self,
         tracker: &Tracker,
@@ -150,7 +154,7 @@ impl Role {
     }
 }
 
-/// The motions that lead to where a scan fits best, in each of the squares that it may be in.
+/// Motions to the best matches of a scan: one for each of the squares around the last pose.
 fn proposals(tracker: &Tracker, motion: Motion, scan: &Scan) -> Vec<Velocity> {
     let reach = (FASTEST * motion.seconds).min(FARTHEST);
     let rings = ((reach - SQUARE.linear) / (2.0 * SQUARE.linear)).ceil().max(0.0) as i32;
@@ -175,7 +179,7 @@ fn proposals(tracker: &Tracker, motion: Motion, scan: &Scan) -> Vec<Velocity> {
     motions.iter().map(|step| Velocity::to(step, motion.seconds)).collect()
 }
 
-/// Logarithm of how likely a scan is where it was found, which is near where it was predicted.
+/// Log-likelihood of a scan at its match, which is near its prediction.
 fn log_likelihood(prediction: Rigid2, found: &Found, motion: Motion, scan: &Scan) -> f64 {
     let square = motion.seconds.powi(2);
     let sigmas = PredictionSigmas {
@@ -189,18 +193,18 @@ fn log_likelihood(prediction: Rigid2, found: &Found, motion: Motion, scan: &Scan
     prior.log_density(&found.pose) + beams
 }
 
-/// What is believed of the motion when recording begins.
+/// The decision on the motion at the start of the recording.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum FirstMotion {
-    /// Odometry measures it.
+    /// Odometry measures the motion.
     Odometry,
-    /// Nothing measured it.
+    /// No sensor measured the motion; it is this.
     Velocity(Velocity),
-    /// Odometry measures it, but fails.
+    /// Odometry measures the motion but fails; it is this.
     InSpiteOfOdometry(Velocity),
 }
 
-/// Whether measurements are held back until the motion at the start is known.
+/// Holds measurements back until the initial motion is determined.
 pub(super) struct Start {
     options: TrajectoryBuilder2dOptions,
     extras: LocalSlamExtras,
@@ -210,14 +214,15 @@ pub(super) struct Start {
 }
 
 enum Phase {
-    /// Held back meanwhile.
+    /// Measurements held back meanwhile.
     Open(Vec<Held>),
-    /// The motion is known.
+    /// The motion is determined.
     Closed,
 }
 
 impl Start {
-    /// Before anything was measured. A front end that searches as far as its options say searches no farther at the start.
+    /// State before any measurement. A front end without adaptive search does not search wider at the
+    /// start.
     pub fn new(options: &TrajectoryBuilder2dOptions, extras: LocalSlamExtras, is_adaptive: bool) -> Self {
         let phase = if is_adaptive { Phase::Open(Vec::new()) } else { Phase::Closed };
         Self { options: options.clone(), extras, phase, has_scans: false }
@@ -227,12 +232,13 @@ impl Start {
         matches!(self.phase, Phase::Open(_))
     }
 
-    /// Holds back a measurement; of odometry before the first scan the two newest poses: more tells nothing of it.
+    /// Holds back a measurement. Of odometry before the first scan it keeps only the two newest poses:
+    /// older ones add nothing to the motion.
     pub fn hold(&mut self, measurement: Held) {
         let Phase::Open(held) = &mut self.phase else { return };
         let is_odometry = |held: &Held| matches!(held, Held::Odometry(_));
         if is_odometry(&measurement) && !self.has_scans {
-            // Both are near the end, whatever came before.
+            // Both are near the end of the list.
             let newest = held.iter().rposition(is_odometry).unwrap_or(0);
             if let Some(older) = held.iter().take(newest).rposition(is_odometry) {
                 held.remove(older);
@@ -242,7 +248,7 @@ impl Start {
         held.push(measurement);
     }
 
-    /// Whether enough is held back.
+    /// Whether enough measurements are held back for a decision.
     pub fn is_ready(&self) -> bool {
         let times = self.scan_times();
         let (Some(first), Some(last)) = (times.first(), times.last()) else { return false };
@@ -272,7 +278,7 @@ impl Start {
         self.held().iter().map(points).sum()
     }
 
-    /// Gives back what was held, if anything was to be.
+    /// Gives back the measurements held back, if it was holding any back.
     fn close(&mut self) -> Option<Vec<Held>> {
         match std::mem::replace(&mut self.phase, Phase::Closed) {
             Phase::Open(held) => Some(held),
@@ -280,13 +286,13 @@ impl Start {
         }
     }
 
-    /// Nothing tells the motion any more.
+    /// Holds measurements back again, since no sensor measures the motion any more.
     pub fn reopen(&mut self) {
         self.phase = Phase::Open(Vec::new());
         self.has_scans = false;
     }
 
-    /// The motion that explains best what was held back, and that.
+    /// The motion that best explains the measurements held back, and these measurements.
     pub fn decided(&mut self) -> (FirstMotion, Vec<Held>) {
         let motion = self.likeliest();
         (motion, self.close().unwrap_or_default())
@@ -310,7 +316,8 @@ impl Start {
         let standing = has_odometry.then_some(still);
         for proposed in standing.into_iter().chain(self.proposed()) {
             let other = self.judged(proposed, &best, false);
-            // Beams say whether a pose is right rather than wrong: a motion that they speak against is none.
+            // The evidence of beams is for a correct against a wrong pose: a motion with negative evidence
+            // is rejected.
             if other.len() >= best.len() && other.last() > best.last() && other.last() > Some(&0.0) {
                 best = other;
                 motion = match has_odometry {
@@ -322,7 +329,7 @@ impl Start {
         motion
     }
 
-    /// The motions that the first two scans may show, beside standing.
+    /// Motions that the first two scans may show, beside standing still.
     fn proposed(&self) -> Vec<Velocity> {
         let found = |role: &Role| matches!(role, Role::Proposing(found) if !found.is_empty());
         match self.followed(Velocity::default(), Role::Proposing(Vec::new()), found, false) {
@@ -331,7 +338,7 @@ impl Start {
         }
     }
 
-    /// How likely all is with a motion, after each scan, as long as it is not much less likely than with another one.
+    /// Log-posterior of a motion after each scan, as long as it is not much less likely than another one.
     fn judged(&self, velocity: Velocity, best: &[f64], with_odometry: bool) -> Vec<f64> {
         let is_given_up = |role: &Role| {
             let Role::Judged(likely) = role else { return true };
@@ -346,7 +353,8 @@ impl Start {
         }
     }
 
-    /// What becomes of a front end in a role that takes what is held back, until it has done enough.
+    /// Runs a front end in a role over the measurements held back, until the role is done. Gives the role
+    /// with its result.
     fn followed(
         &self,
         velocity: Velocity,
@@ -367,7 +375,7 @@ impl Start {
     }
 }
 
-/// Whether scans are too far apart for a motion to be followed.
+/// Whether scans are too far apart in time to track a motion.
 fn is_sparse(times: &[Time]) -> bool {
     matches!(times, [first, second, ..] if second.seconds_since(*first) > LONGEST_INTERVAL)
 }
@@ -413,8 +421,8 @@ mod tests {
         }
     }
 
-    /// How far a scanner is said to have gone in 2 s at this speed, m/s, and how many of its 21 scans were found; with wheels that
-    /// claim another speed or without any.
+    /// Distance in 2 s that local SLAM finds at this speed, m/s, and how many of the 21 scans were
+    /// matched; with wheels that report another speed or without any.
     fn followed(speed: f64, claimed: Option<f64>) -> (f64, usize) {
         let mut options = Options::for_2d().trajectory_builder.trajectory_builder_2d;
         options.use_online_correlative_scan_matching = true;

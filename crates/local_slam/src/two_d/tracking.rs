@@ -1,5 +1,5 @@
-//! Where a scan lies in the submap that is matched against: hypotheses of the motion, searches around them as wide as
-//! predictions were wrong lately, and a judgement of what was found.
+//! Matches a scan with the submap: hypotheses of the motion, searches around them with windows of recent
+//! prediction errors, and a decision between the matches.
 
 mod judging;
 mod viewing;
@@ -27,56 +27,58 @@ use super::scan::{Scan, with_share};
 use crate::remembered_scans::RememberedScans;
 use crate::{OdometryBridge, UsualAgreement};
 
-/// Scans are searched within so many standard deviations of their prediction.
+/// Half the search window around a prediction, in standard deviations.
 const WITHIN_SIGMAS: f64 = 3.5;
-/// So many times the usual time from scan to scan are a gap …
+/// Ratio of the time between two scans to the usual one from which on it is a gap.
 const INTERVALS_OF_A_GAP: f64 = 10.0;
-/// … if they are so many seconds: in less a robot goes no farther than scans are searched, whatever odometry says.
+/// Minimum duration of a gap, seconds: in less time a robot stays within the search window, whatever
+/// odometry reports.
 const LEAST_GAP: f64 = 3.0;
-/// About so many intervals tell what is usual.
+/// Time constant of the usual interval, scans.
 const INTERVALS_REMEMBERED: f64 = 20.0;
-/// What few beams find so far from its prediction, metres and radians, is doubted: which beams the map explains tells nearer
-/// poses not apart.
+/// Offset from its prediction beyond which the match of few beams is questioned, metres and radians. The
+/// beams that the map explains do not distinguish nearer poses.
 const ELSEWHERE: SearchWindow = SearchWindow { linear: 0.15, angular: 0.1 };
-/// Where scans tell this share of their poses they tell how far predictions are off, too.
+/// Fraction of the match in the weighed pose above which it updates the errors of predictions;
+/// dimensionless.
 const MOSTLY: f64 = 0.67;
-/// What a scan does not tell to within this, metres and radians, it leaves to the prediction: odometry that is wrong by more
-/// is noticed.
+/// Uncertainty up to which a scan counts as constraining a direction, metres and radians; otherwise the
+/// prediction determines it. Larger errors of odometry are noticed.
 const TOLD_WITHIN: SearchWindow = SearchWindow { linear: 0.25, angular: 0.05 };
 
-/// What the prediction decided, since the scan tells little of it.
+/// Directions in which the prediction determined the pose, since the scan constrains them weakly.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum LeftOpen {
     Nothing,
-    /// How far it went in this direction, a unit vector in the frame of the scan.
+    /// The position in this direction, a unit vector in the frame of the scan.
     Along(Vector2),
     Everything,
 }
 
-/// Where a scan was found.
+/// Match of a scan.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Found {
     /// In the local map; the prediction where nothing better is known.
     pub pose: Rigid2,
-    /// It was found far from its prediction.
+    /// Whether the match is far from its prediction.
     pub is_far: bool,
-    /// Odometry measured the motion, and it was not used.
+    /// Whether odometry measured the motion but was not used.
     pub overrules_odometry: bool,
-    /// The scan, or odometry, told where it is in the plane; nothing was taken for granted.
+    /// Whether the scan or odometry constrains the position in the plane, so that none of it is assumed.
     pub tells_place: bool,
-    /// What the prediction decided of the pose.
+    /// Directions in which the prediction determined the pose.
     pub left_open: LeftOpen,
-    /// How the map agrees with the scan there; none where the grid does not tell.
+    /// How the map agrees with the scan there; none if the grid is a distance field.
     pub agreement: Option<ScanAgreement>,
 }
 
-/// Finds scans in the submap that is being filled.
+/// Matches scans with the submap that is being filled.
 pub(super) struct Tracker {
     matcher: ScanMatcher2d,
     is_adaptive: bool,
-    /// No scan is looked for farther from its prediction, if this is set.
+    /// Maximum search window around the prediction, if set.
     limit: Option<SearchWindow>,
-    /// After so many seconds of which nothing was measured the scanner may as well have stood still.
+    /// Time without measurements after which the scanner may have stopped, seconds.
     gap: f64,
     odometry_scale: OdometryScale,
     prediction_error: PredictionError,
@@ -85,9 +87,9 @@ pub(super) struct Tracker {
     usual_score: UsualScore,
     usual_agreement: UsualAgreement,
     beam_evidence: BeamEvidence,
-    /// Mean seconds from scan to scan, but for gaps.
+    /// Mean time from scan to scan without gaps, seconds.
     interval: Option<f64>,
-    /// Of the scan that is to be found next, if it was looked for.
+    /// Search result for the next scan, if it was searched before.
     looked: Option<Looked>,
     occlusion: Occlusion,
     remembered: RememberedScans,
@@ -121,55 +123,57 @@ impl Tracker {
         })
     }
 
-    /// Forgets what scans and motions were usual: what was learned while the pose was lost says nothing of a new piece of map.
+    /// Resets the statistics of scans and motions: those learned while the pose was lost are not valid in
+    /// a new piece of map.
     pub fn begin_anew(&mut self) {
         self.prediction_error = PredictionError::default();
         self.usual_score = UsualScore::default();
         self.beam_evidence = BeamEvidence::default();
     }
 
-    /// The scanner moves like this in so many seconds: if odometry says otherwise it fails.
+    /// The scanner moved like this over this time, seconds; odometry that contradicts it fails.
     pub fn odometry_contradicts(&mut self, moved: &Rigid2, seconds: f64) {
         self.odometry_failure = OdometryFailure::while_moving(moved, seconds);
     }
 
-    /// Looks for no scan farther from its prediction.
+    /// Limits searches to this window around the prediction.
     pub fn limit_to(&mut self, window: SearchWindow) {
         self.limit = Some(window);
     }
 
-    /// Remembers where scans were found with this.
+    /// Sets the memory in which matched poses are remembered.
     pub fn remember_with(&mut self, memory: &Memory) {
         self.remembered = RememberedScans::new(memory);
     }
 
-    /// Takes note of the scan that is to be found next.
+    /// Registers the next scan to be matched.
     pub fn note(&mut self, time: Time, prediction: &Rigid2, clouds: [&PointCloud; 2]) {
         self.remembered.note(time, &embed_3d(prediction), clouds);
     }
 
-    /// Takes note of how the map agreed with a scan that was believed.
+    /// Learns how the map agreed with an accepted scan.
     pub fn note_agreement(&mut self, agreement: &ScanAgreement) {
         self.usual_agreement.add(agreement);
     }
 
-    /// Whether a scan agrees with the map rather as scans do at wrong places than as those of this recording do at theirs.
+    /// Whether the agreement of a scan with the map is more typical of wrong poses than of correct ones in
+    /// this recording.
     pub fn looks_wrong(&self, agreement: &ScanAgreement) -> bool {
         self.usual_agreement.looks_wrong(agreement)
     }
 
-    /// Whether scans are searched as far as predictions were wrong lately.
+    /// Whether the search window adapts to recent prediction errors.
     pub fn is_adaptive(&self) -> bool {
         self.is_adaptive && self.matcher.usual_window().is_some()
     }
 
-    /// How far predictions of this motion are off, as far as is known.
+    /// Learned standard deviations of the prediction of this motion.
     pub fn sigmas(&self, motion: &Rigid2) -> PredictionSigmas {
         self.prediction_error.sigmas(motion)
     }
 
-    /// How well odometry tells the motion to the next scan if it alone does: after a gap, where the map does not know what
-    /// is seen.
+    /// Uncertainty of the motion to the next scan by odometry, if only odometry measures it: after a gap,
+    /// where the surroundings of the scan are not in the map.
     pub fn bridge(
         &mut self,
         motion: Motion,
@@ -178,7 +182,8 @@ impl Tracker {
     ) -> Option<OdometryBridge> {
         let interval = *self.interval.get_or_insert(motion.seconds);
         let least = LEAST_GAP.max(INTERVALS_OF_A_GAP * interval);
-        // A gap says little of what is usual, but a sensor that has become slower for good is not all gaps.
+        // A gap hardly changes the usual interval, but a sensor that has become slower for good must not
+        // give only gaps.
         self.interval = Some(interval + (motion.seconds.min(least) - interval) / INTERVALS_REMEMBERED);
         if motion.seconds < least {
             return None;
@@ -195,15 +200,15 @@ impl Tracker {
         })
     }
 
-    /// Finds the scan as the options say, without judging it.
+    /// Matches the scan as the options specify, without judging the match.
     pub fn match_scan(&self, prediction: Rigid2, scan: Option<Scan>, cloud: &PointCloud) -> Rigid2 {
         let (returns, submap) = scan.map_or((cloud, None), |s| (s.returns, Some(s.submap)));
         let find = || self.matcher.match_scan(prediction, cloud, returns, submap, None);
         self.remembered.answer(prediction, find).pose
     }
 
-    /// Where the scan fits best around its prediction, as far as predictions of what nothing measured were wrong lately. Nothing
-    /// is learned from it.
+    /// Best match of the scan around its prediction, in the window of recent errors of predictions of this
+    /// kind. It does not update any statistics.
     pub fn look(&mut self, prediction: Rigid2, motion: Motion, scan: Scan) -> Option<Rigid2> {
         let window = self.window(&motion, &prediction);
         let balanced = WeakDirection::of(scan.returns).map(|weak| weak.balanced(scan.returns));
@@ -212,8 +217,8 @@ impl Tracker {
         Some(found.pose).filter(Rigid2::is_finite)
     }
 
-    /// Where the scan fits best within a window around each of these poses, the best first. Nothing is learned from it, and nothing
-    /// remembered.
+    /// Best match of the scan in a window around each of these poses, the best first. It does not update
+    /// any statistics, and is not remembered.
     pub fn search_freely(&self, scan: &Scan, poses: &[Rigid2], window: SearchWindow) -> Vec<Searched> {
         let clouds = [scan.cloud, scan.returns];
         let mut found = self.matcher.search_around(scan.submap, poses, clouds, window);
@@ -221,23 +226,23 @@ impl Tracker {
         found
     }
 
-    /// Goes on from where a search found the scan.
+    /// Refines the result of a search.
     pub fn refined(&self, scan: &Scan, found: &Searched) -> Rigid2 {
         self.matcher.refined(scan.submap, found, scan.cloud)
     }
 
-    /// Another scan is to be found than that which was looked for.
+    /// Discards the search result, since another scan is to be matched than the one that was searched.
     pub fn forget_look(&mut self) {
         self.looked = None;
     }
 
-    /// Finds the scan around where the motion leads, as far as predictions were wrong lately, and as far as the scanner can
-    /// have moved where it fits the map worse than scans did lately.
+    /// Matches the scan around its prediction, in the window of recent prediction errors. Where it fits
+    /// the map worse than recent scans did, the window covers all that the scanner can have moved.
     pub fn find(&mut self, told: Rigid2, motion: Motion, scan: Scan) -> Found {
         // 1. Predict.
         let weak = WeakDirection::of(scan.returns);
         let prediction = self.predicted(told, &motion, weak.as_ref());
-        // 2. Search, and judge what is found.
+        // 2. Search, and choose between the matches.
         let balanced = weak.as_ref().map(|weak| weak.balanced(scan.returns));
         let cloud = balanced.as_ref().unwrap_or(scan.cloud);
         let window = self.window(&motion, &prediction);
@@ -266,19 +271,20 @@ impl Tracker {
                 agreement: None,
             };
         }
-        // 3. Weigh it with the prediction.
+        // 3. Weigh the match with the prediction.
         let is_open = weak.is_some() || scan.witnesses.are_few();
         if !is_open {
             self.odometry_failure.add_pose(&found.pose);
         }
-        // Found far off, the prediction was judged to be none.
+        // If the match is far off, the prediction was rejected.
         let weighed = weak.as_ref().filter(|_| !is_far);
         let (pose, left_open) = match judgement {
-            // So few beams do not confirm a prediction that they were not believed against.
+            // So few beams do not confirm a prediction that they could not refute.
             Judgement::Predicted if scan.witnesses.are_few() => (found.pose, LeftOpen::Everything),
             _ => self.weigh(found.pose, near.around, motion, &scan, weighed, is_failing || is_far),
         };
-        // 4. Learn how odometry and beams agree with it. Where scans leave a direction open, they do not say how far it went.
+        // 4. Learn how odometry and beams agree with the pose. Degenerate scans do not measure the
+        // distance travelled.
         let observability = match (is_open, is_far) {
             (false, _) => MotionObservability::Full,
             (true, false) => MotionObservability::Weak,
@@ -299,22 +305,22 @@ impl Tracker {
         Found { pose, is_far, overrules_odometry: is_failing, tells_place, left_open, agreement }
     }
 
-    /// How many times as far as scans odometry goes, if it is corrected by that.
+    /// Ratio of the distance by odometry to that by scans, if it is corrected.
     pub fn odometry_factor(&self) -> Option<f64> {
         self.odometry_scale.factor()
     }
 
-    /// Where the scan is if odometry, which tells this, rather fails than works.
+    /// Pose of the scan without odometry, if odometry, which gives `told`, more likely fails than works.
     pub fn suspected(&self, told: Rigid2, motion: Motion) -> Option<Rigid2> {
         self.odometry_failure.suspected(motion, &self.prior(self.predicted(told, &motion, None), motion))
     }
 
-    /// Where the scan is by odometry that measured the motion.
+    /// Pose of the scan by odometry that measured the motion.
     pub fn told_by_odometry(&self, told: Rigid2, motion: &Motion) -> Rigid2 {
         self.predicted(told, motion, None)
     }
 
-    /// Where the scan is expected, told where odometry, or else the velocity, leads.
+    /// Predicted pose of the scan; `told` is the pose by odometry, or else by constant velocity.
     fn predicted(&self, told: Rigid2, motion: &Motion, weak: Option<&WeakDirection>) -> Rigid2 {
         let prediction = match motion.measured {
             Measured::Whole => {
@@ -325,7 +331,8 @@ impl Tracker {
             Measured::Nothing if motion.is_unknown() => motion.last,
             Measured::Rotation | Measured::Nothing => told,
         };
-        // Readings far apart tell nothing of turns and stops between them, but how far it went along a corridor.
+        // Readings far apart do not measure rotations and stops between them, but do measure the distance
+        // along a corridor.
         match (weak, motion.between_readings) {
             (Some(weak), Some(read)) => weak.with_share(&read, &prediction, 0.0),
             _ => prediction,
@@ -345,7 +352,7 @@ impl Tracker {
         self.remembered.answer((around, window), find)
     }
 
-    /// What the motion says of the pose of a scan.
+    /// Motion prior of the pose of a scan.
     pub fn prior(&self, prediction: Rigid2, motion: Motion) -> MotionPrior {
         let mut sigmas = self.prediction_error.sigmas(&motion.to(&prediction));
         let square = motion.seconds.powi(2);
@@ -358,8 +365,9 @@ impl Tracker {
         MotionPrior { prediction, sigmas }
     }
 
-    /// Weighs the match with the prediction where the scan tells little, and learns from both how far predictions are
-    /// off where it tells enough. The pose, and what the prediction decided of it.
+    /// Weighs the match with the prediction in degenerate directions, and updates the errors of
+    /// predictions where the scan constrains the motion enough. Gives the pose, and the directions in
+    /// which the prediction determined it.
     fn weigh(
         &mut self,
         found: Rigid2,
@@ -392,7 +400,8 @@ impl Tracker {
         (pose, left_open)
     }
 
-    /// Weighs a match of hardly any beams with the prediction. It tells how far predictions are off where most comes from it.
+    /// Weighs a match of hardly any beams with the prediction. It updates the errors of predictions only
+    /// where it has most of the weight.
     fn weigh_few(
         &mut self,
         found: Rigid2,
@@ -413,8 +422,8 @@ impl Tracker {
         (pose, if is_told { LeftOpen::Nothing } else { LeftOpen::Everything })
     }
 
-    /// As far as predictions of such a motion were wrong lately; where nothing measured it, no farther than a scanner can
-    /// have accelerated to, however fast it goes.
+    /// Search window of recent errors of predictions of such a motion. Where the motion was unmeasured, it
+    /// is limited to the range that the largest acceleration allows, at any velocity.
     fn window(&self, motion: &Motion, prediction: &Rigid2) -> SearchWindow {
         let window = self.window_of(&self.prediction_error.sigmas(&motion.to(prediction)));
         if motion.is_measured() || self.limit.is_some() {
@@ -431,7 +440,7 @@ impl Tracker {
         }
     }
 
-    /// As far as predictions with these errors can be off.
+    /// Search window of predictions with these standard deviations.
     fn window_of(&self, sigmas: &PredictionSigmas) -> SearchWindow {
         if let Some(limit) = self.limit {
             return limit;

@@ -1,5 +1,7 @@
-//! What is known of a motion of which nothing was measured for so long that the velocity before says little: the scanner stands where it
-//! stood, has gone on as before, or is anywhere that it can have got to.
+//! Prior of a motion that was unmeasured for so long that the previous velocity says little about it.
+//!
+//! The prior is a mixture of three cases: the scanner has stopped at its last pose, it has gone on at
+//! constant velocity, or it is anywhere within reach.
 
 use std::f64::consts::{PI, TAU};
 
@@ -9,11 +11,11 @@ use super::motion::{FASTEST, Motion};
 use super::posterior::normal_density;
 use super::prediction_error::PredictionSigmas;
 
-/// Probability of each: that it stands, has gone on, or neither.
+/// Probability of each of the three cases: stopped, gone on, or neither.
 const EACH: f64 = 1.0 / 3.0;
-/// Standard deviations of its pose where it stands, metres and radians …
+/// Standard deviations of the pose if the scanner has stopped, metres and radians.
 const STANDING: PredictionSigmas = PredictionSigmas { translation: 0.05, rotation: 0.05 };
-/// … and, of the motion, where it has gone on.
+/// Standard deviation of the motion, as a fraction of it, if the scanner has gone on; dimensionless.
 const SHARE: f64 = 0.1;
 
 /// Prior density of poses.
@@ -21,14 +23,14 @@ const SHARE: f64 = 0.1;
 pub(super) struct UnknownMotion {
     stopped: Rigid2,
     went_on: Rigid2,
-    /// Of the latter.
+    /// Standard deviations of the pose `went_on`.
     sigmas: PredictionSigmas,
-    /// Density of being anywhere, 1/(m² rad).
+    /// Density of the third case, anywhere within reach, 1/(m² rad).
     anywhere: f64,
 }
 
 impl UnknownMotion {
-    /// Of a scanner that stands here, or there.
+    /// Prior of a scanner that has stopped at the pose `stopped` or has reached the pose `went_on`.
     pub fn new(motion: &Motion, stopped: Rigid2, went_on: Rigid2) -> Self {
         let way = motion.to(&went_on);
         let sigmas = PredictionSigmas {

@@ -1,31 +1,34 @@
-//! How much a scan can say at all: by how many beams that do not see the same thing.
+//! Counts the independent measurements in a scan: sectors with returns.
 
 use std::f64::consts::TAU;
 
 use portolan_sensor::PointCloud;
 
-/// Beams in one of so many sectors of a turn, five degrees each, are one witness: they hit the same person or wall.
+/// Number of sectors of a turn, five degrees each. Beams in one sector are one independent measurement:
+/// they hit the same person or wall.
 const SECTORS: usize = 72;
-/// A scan says as much as so many beams that are independent, however many it has: those of half a turn.
+/// Maximum number of independent measurements that a scan counts as: the sectors of half a turn.
 const MOST: usize = 36;
-/// With less than half of them a match far from its prediction is doubted, …
+/// Number of independent measurements below which a match far from its prediction is questioned: half of
+/// the maximum.
 const FEW: usize = 18;
-/// … and with less than a quarter every match is weighed with it: what is in reach looks alike at many poses.
+/// Number of independent measurements below which every match is weighed with the prediction: a quarter of
+/// the maximum. The few surfaces in reach look alike at many poses.
 const NEXT_TO_NONE: usize = 9;
 
-/// Independent witnesses among the returns of a scan.
+/// Number of independent measurements among the returns of a scan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Witnesses(usize);
 
 impl Default for Witnesses {
-    /// Those of a scan with returns all around.
+    /// That of a scan with returns all around.
     fn default() -> Self {
         Self(MOST)
     }
 }
 
 impl Witnesses {
-    /// Of returns in the frame of the scanner.
+    /// Counts the sectors of returns in the frame of the scanner.
     pub fn of(returns: &PointCloud) -> Self {
         let mut seen = [false; SECTORS];
         for point in &returns.points {
@@ -41,12 +44,12 @@ impl Witnesses {
         self.0 as f64
     }
 
-    /// Whether a scan tells so little that a prediction far from its match may be right.
+    /// Whether a scan constrains its pose so weakly that a prediction far from its match may be correct.
     pub fn are_few(self) -> bool {
         self.0 < FEW
     }
 
-    /// Whether it tells so little that its match is one opinion beside that of the prediction.
+    /// Whether it constrains its pose so weakly that the match is weighed with the prediction.
     pub fn are_next_to_none(self) -> bool {
         self.0 < NEXT_TO_NONE
     }

@@ -1,4 +1,4 @@
-//! Measurements in, places out.
+//! Takes measurements of a recording and returns its poses in a known map.
 
 mod work;
 
@@ -20,7 +20,7 @@ use crate::search::PositionFix;
 use crate::state::Estimate;
 use crate::voxel_changes::KeptSweep;
 
-/// Where a recording starts, as far as somebody knows.
+/// Start of a recording in the map, given by the user.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StartPose {
     /// Pose of the tracking frame in the map at the first scan.
@@ -32,37 +32,37 @@ pub struct StartPose {
 }
 
 impl StartPose {
-    /// A start that somebody read off a picture: half a metre and ten degrees.
+    /// A start that the user read off a picture: half a metre and ten degrees.
     pub fn new(map_from_tracking: Rigid3) -> Self {
         Self { map_from_tracking, sigma_metres: 0.5, sigma_radians: 10f64.to_radians() }
     }
 
-    /// That of a map, in a frame near it.
+    /// Converts a start in the map to a frame near it.
     pub fn near(self, frame: &NearFrame) -> Self {
         Self { map_from_tracking: frame.near(&self.map_from_tracking), ..self }
     }
 
-    /// That of a frame near the map, in the map.
+    /// Converts a start in a frame near the map to the map.
     pub fn in_map(self, frame: &NearFrame) -> Self {
         Self { map_from_tracking: frame.in_map(&self.map_from_tracking), ..self }
     }
 }
 
-/// How to localise.
+/// Settings of localisation.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LocalizerSettings {
-    /// Where the recording starts; searched in the whole map if that is not known, or wrong.
+    /// Start of the recording; the whole map is searched if it is not given, or wrong.
     pub start: Option<StartPose>,
-    /// Threads for searching; 0 for as many as there are cores. What is found does not depend on it.
+    /// Number of threads for searching; 0 for as many as there are cores. Results do not depend on it.
     pub threads: usize,
-    /// Whether what local SLAM makes of the recording is kept, to be added to the map; memory then grows with time.
+    /// Whether the track of local SLAM is kept, to be added to the map; memory then grows with time.
     pub keeps_track: bool,
 }
 
-/// Why localisation cannot begin, or go on.
+/// Why localisation cannot begin or continue.
 #[derive(Debug, thiserror::Error)]
 pub enum LocalizerError {
-    /// Local SLAM.
+    /// Local SLAM failed.
     #[error(transparent)]
     Mapper(#[from] MapperError),
     /// Threads could not be started.
@@ -70,15 +70,16 @@ pub enum LocalizerError {
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
-/// Finds a lidar in a saved map: a [`KnownMap2d`](crate::KnownMap2d) or a [`KnownMap3d`](crate::KnownMap3d).
+/// Localises a lidar in a saved map: a [`KnownMap2d`](crate::KnownMap2d) or a
+/// [`KnownMap3d`](crate::KnownMap3d).
 ///
-/// Local SLAM gives the motion from scan to scan; what it draws is forgotten. Memory does not grow with time.
+/// Local SLAM gives the motion from scan to scan; its submaps are dropped. Memory does not grow with time.
 pub struct Localizer<M: KnownMap> {
     collation: SensorCollation,
     local_slam: <M::Space as Space>::LocalSlam,
     finder: Finder<M>,
     track: Option<LocalTrack<M::Space>>,
-    /// What is kept with the track to renew the map by.
+    /// Scans kept with the track, to renew the map.
     sweeps: Vec<KeptSweep>,
 }
 
@@ -96,27 +97,28 @@ impl<M: KnownMap> Localizer<M> {
         (M::localizer_work().new)(map, options, sensors, settings)
     }
 
-    /// Takes a measurement; what is known after each scan whose turn has come with it.
+    /// Takes a measurement; returns an estimate for each scan that could be processed with it.
     pub fn add(&mut self, sensor_id: &SensorId, measurement: Measurement) -> Vec<Estimate> {
         (M::localizer_work().add)(self, sensor_id, measurement)
     }
 
-    /// Takes a satellite fix: as long as no place is known it is one more place where the scanner may be, which scans have to
+    /// Takes a satellite fix: while no place is known, it gives one more candidate, which scans have to
     /// confirm.
     pub fn add_fix(&mut self, fix: PositionFix) {
         self.finder.add_fix(fix);
     }
 
-    /// Ends the recording: uses what waits.
+    /// Ends the recording: processes all measurements that are still waiting.
     pub fn finish(&mut self) -> Vec<Estimate> {
         (M::localizer_work().finish)(self)
     }
 
-    /// Adds what was localised to the pose graph that holds the map, as one more trajectory; after [`Localizer::finish`], if
-    /// the track was to be kept. `estimates` are all that it gave. Nothing of the graph changes if that is not possible.
+    /// Adds the localised scans to the pose graph that holds the map, as one more trajectory. To be called
+    /// after [`Localizer::finish`], if the settings keep the track. `estimates` are all that this localizer
+    /// returned. If it fails, the graph stays unchanged.
     ///
     /// # Errors
-    /// If nothing was localised surely enough to be added, or the map cannot be renewed.
+    /// If no localised scans are trusted enough to be added, or the map cannot be renewed.
     pub fn grow(
         &mut self,
         graph: &mut PoseGraph<M::Space>,
@@ -126,22 +128,23 @@ impl<M: KnownMap> Localizer<M> {
         (M::localizer_work().grow)(self, graph, estimates, growth)
     }
 
-    /// What was dropped or repaired so far.
+    /// Issues so far: data that was dropped or repaired.
     pub fn issues(&self) -> IssueLog {
         (M::localizer_work().issues)(self)
     }
 
-    /// Where scans contradicted the map while it was localised.
+    /// Regions where localised scans contradicted the map.
     pub fn changes(&self) -> Vec<Change> {
         self.finder.changes()
     }
 
-    /// Whether the start that was told agrees with the place that is known; none while none is known, or none was told.
+    /// Whether the given start agrees with the known place; none while no place is known, or if no start was
+    /// given.
     pub fn start_agrees(&self) -> Option<bool> {
         self.finder.start_agrees()
     }
 
-    /// Where the recording was told to be when it was last looked for: the start, or a satellite fix.
+    /// The start or satellite fix that was searched around last.
     pub fn told(&self) -> Option<StartPose> {
         let (map_from_tracking, (sigma_metres, sigma_radians)) = self.finder.told()?;
         Some(StartPose { map_from_tracking, sigma_metres, sigma_radians })

@@ -1,4 +1,4 @@
-//! What a localizer does, compiled in this crate once for each kind of map.
+//! The functions of a localizer, compiled in this crate once for each kind of map.
 
 use std::collections::BTreeSet;
 
@@ -16,8 +16,8 @@ use crate::known_map::KnownMap;
 use crate::search::Searcher;
 use crate::state::Estimate;
 
-/// The functions behind the methods of [`Localizer`], by their names. A generic function is compiled again by every crate and
-/// program that calls it; [`KnownMap::localizer_work`] gives them as they were compiled here.
+/// The functions behind the methods of [`Localizer`], by their names. Every crate and program that calls a
+/// generic function compiles it again; [`KnownMap::localizer_work`] gives them as compiled here.
 #[allow(clippy::type_complexity)]
 pub struct LocalizerWork<M: KnownMap> {
     pub(super) new:
@@ -42,7 +42,7 @@ impl<M: KnownMap> LocalizerWork<M> {
     }
 }
 
-/// The one trajectory.
+/// The only trajectory.
 const TRAJECTORY: TrajectoryId = TrajectoryId(0);
 
 impl<M: KnownMap> Localizer<M> {
@@ -54,7 +54,7 @@ impl<M: KnownMap> Localizer<M> {
     ) -> Result<Self, LocalizerError> {
         let ranges: Vec<SensorId> = sensors.iter().filter(|s| s.kind == SensorKind::Range).cloned().collect();
         let mut collation = SensorCollation::new(options.map_builder.collate_by_trajectory);
-        // Fixes are taken as they come: scans do not wait for them.
+        // Fixes are processed on arrival: scans do not wait for them.
         let ordered = sensors.iter().filter(|s| s.kind != SensorKind::FixedFramePose).cloned().collect();
         collation.add_trajectory(TRAJECTORY, &ordered, &options.trajectory_builder);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(settings.threads).build()?;

@@ -1,57 +1,65 @@
-//! Where a recording contradicts a map (`changes.rs`, `known_cells.rs`, `placed_scan.rs`, `voxel_changes.rs`), and how the map is
-//! renewed by it (`renewal.rs`, `renewal_3d.rs`).
+//! How contradictions between a recording and a map are counted (`changes.rs`, `known_cells.rs`,
+//! `placed_scan.rs`, `voxel_changes.rs`), and how the recording renews the map (`renewal.rs`,
+//! `renewal_3d.rs`).
 
 use portolan_mapping::Replacement;
 
 use super::maps::FREE_BEAM_CLEARANCE;
 
-/// A cell has changed if so many scans say so, …
+/// Minimum number of contradicting scans for a cell to count as changed.
 pub(crate) const CHANGING_SCANS: u16 = 4;
-/// … this fraction of those that say anything, …
+/// Minimum fraction of contradicting scans among the scans that observe the cell; dimensionless.
 pub(crate) const CHANGING_FRACTION: f64 = 0.75;
-/// … from two places at least so far apart, metres: somebody who stands for a moment is seen from one place.
+/// Minimum distance between two viewpoints of the contradicting scans, metres: a person who stands for a
+/// moment is seen from one viewpoint.
 pub(crate) const VIEWPOINTS: f64 = 1.0;
-/// The standard deviation to which a place is certain enough for contradictions to count there in 2D, metres …
+/// Standard deviation of the position up to which the contradictions of a scan count in 2D, metres.
 pub(crate) const CERTAIN_PLACE_2D: f64 = 0.08;
-/// … and in 3D: less than the cells in which they are counted.
+/// Standard deviation of the position up to which the contradictions of a scan count in 3D, metres: less
+/// than the edge of the cells in which they are counted.
 pub(crate) const CERTAIN_PLACE_3D: f64 = 0.12;
 
 /// Edge of the cells in which contradictions are counted in 2D, metres.
 pub(crate) const CHANGE_CELL_2D: f64 = 0.1;
-/// So far, metres, what is new lies from all that was solid, and beams go on behind what is gone: scans, walls and their places in the
-/// map err together by a third of it ([`CERTAIN_PLACE_2D`] and the 3.5 cm of the map).
+/// Minimum distance of a new object from all that was solid, and distance before the end of a beam from
+/// which the beam no longer contradicts solid cells, metres. The errors of scans, walls and poses in the map
+/// add up to a third of it ([`CERTAIN_PLACE_2D`] and the 3.5 cm of the map).
 pub(crate) const CLEARANCE: f64 = 0.25;
-/// Beams count to this range in 2D, metres: headings of maps and matches err by 0.008 rad, a third of the clearance there.
+/// Range up to which beams count in 2D, metres: headings of maps and matches are off by 0.008 rad, which is
+/// a third of the clearance at this range.
 pub(crate) const CHANGE_RANGE_2D: f64 = 10.0;
-/// Smaller regions are left out in 2D, square metres: three cells in a row are an edge that moved with the map's own error.
+/// Minimum area of a changed region in 2D, square metres: three cells in a row are an edge that moved with
+/// the map's own error.
 pub(crate) const LEAST_CHANGED_AREA: f64 = 0.035;
 
-/// Beams count to this range in 3D, metres: headings of maps and matches err by 0.008 rad, half a cell there.
+/// Range up to which beams count in 3D, metres: headings of maps and matches are off by 0.008 rad, which is
+/// half a cell at this range.
 pub(crate) const CHANGE_RANGE_3D: f32 = 12.0;
-/// A beam goes through a surface if it meets it more steeply than this, as the sine of the angle; else it goes along it.
+/// Sine of the angle between beam and surface above which a beam counts as passing through the surface;
+/// below it the beam runs along the surface.
 pub(crate) const STEEP_SINE: f32 = 0.3;
-/// Steps along a beam, metres …
+/// Step along a beam, metres.
 pub(crate) const BEAM_STEP: f32 = 0.1;
-/// … and voxels to which scans are thinned.
+/// Edge of the voxels to which a scan is thinned before its beams are counted, metres.
 pub(crate) const COUNTED_VOXEL: f32 = 0.1;
-/// Of beams that are kept no more than this counts, metres.
+/// Length to which the beams of kept sweeps are cut, metres.
 pub(crate) const KEPT_BEAM: f32 = CHANGE_RANGE_3D + FREE_BEAM_CLEARANCE + 0.1;
-/// Voxels to which sweeps that are kept are thinned, metres.
+/// Edge of the voxels to which kept sweeps are thinned, metres.
 pub(crate) const KEPT_VOXEL: f32 = 0.15;
-/// Sweeps are kept so far apart, metres, or where they show another view.
+/// Distance between kept sweeps, metres; a rotation to another view also makes a new one.
 pub(crate) const KEPT_SWEEP_METRES: f64 = 0.6;
-/// Smaller regions are left out in 3D, cells in all …
+/// Minimum number of cells of a changed region in 3D.
 pub(crate) const LEAST_CHANGED_CELLS: usize = 8;
-/// … and seen from above.
+/// Minimum number of columns, seen from above, of a changed region in 3D.
 pub(crate) const LEAST_CHANGED_COLUMNS: usize = 3;
 
 /// Edge of the cells in which areas are counted in 2D, metres.
 pub(crate) const AREA_CELL: f64 = 0.1;
-/// A submap that shows less than this of what a 2D map does not know is not worth its size, square metres.
+/// Minimum area unknown to a 2D map that a new submap has to show to be kept, square metres.
 pub(crate) const LEAST_NEW_AREA: f64 = 4.0;
-/// What only a submap that is removed knows, at most, square metres.
+/// Maximum area that only the removed submap knows, square metres.
 pub(crate) const MOST_ALONE: f64 = 0.1;
-/// Two submaps show each place, as local SLAM draws them.
+/// Rule by which newer submaps replace older ones in 2D. Two submaps show each place, as in local SLAM.
 pub(crate) const REPLACEMENT_2D: Replacement = Replacement {
     newest: 2,
     least_seen: 2.0,
@@ -59,17 +67,21 @@ pub(crate) const REPLACEMENT_2D: Replacement = Replacement {
     least_share: 0.0,
     most_share_alone: 0.0,
 };
-/// The same in 3D: surfaces are never met in quite the same cells again, so that fractions of a submap count as well.
+/// The same rule in 3D. Surfaces never fall into quite the same cells again, so fractions of a submap count
+/// as well.
 pub(crate) const REPLACEMENT_3D: Replacement =
     Replacement { least_share: 0.1, most_share_alone: 0.005, ..REPLACEMENT_2D };
-/// A submap replaces an older one of which it knows at least this fraction, if other submaps know the rest.
+/// Minimum fraction of an older submap that a new submap has to know to replace it, if other submaps know
+/// the rest.
 pub(crate) const REPLACED_FRACTION: f64 = 0.5;
-/// What has changed is drawn into older submaps with what they do not know so far around, metres: what stood somewhere hid what is
-/// inside of it.
+/// Distance from changed cells within which unknown cells of older submaps are filled too, metres: an object
+/// hid its own interior.
 pub(crate) const AROUND_CHANGED: f64 = 0.5;
-/// Points of older scans lie beside cells that are gone, metres.
+/// Distance from cells that are gone within which points of older scans are removed, metres.
 pub(crate) const BESIDE_GONE: f64 = 0.1;
-/// Edge of the cells in which is counted what a 3D map does not know, metres: no surface is in a cell, or beside one, by chance.
+/// Edge of the cells in which the space unknown to a 3D map is counted, metres. It is so large that a
+/// surface counts as new only if the map has none in its cell or in a neighbouring one.
 pub(crate) const NEW_CELL: f32 = 0.5;
-/// A submap that shows fewer of them is not worth its size: 10 m² of surfaces.
+/// Minimum number of unknown cells ([`NEW_CELL`]) that a new submap has to show to be kept in 3D: 10 m² of
+/// surfaces.
 pub(crate) const LEAST_NEW_CELLS: usize = 40;

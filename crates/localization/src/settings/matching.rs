@@ -1,72 +1,81 @@
-//! How a scan is matched to a known map, and what the match tells (`hypothesis.rs`, `likelihood.rs`, `matcher_2d.rs`,
-//! `known_map_3d.rs`, `along.rs`, `information.rs`, `residuals.rs`).
+//! How a scan is matched to a known map, and the information of the match (`hypothesis.rs`, `likelihood.rs`,
+//! `matcher_2d.rs`, `known_map_3d.rs`, `along.rs`, `information.rs`, `residuals.rs`).
 
 use crate::known_map::Window;
 
-/// Scans are looked for, and starts, within so many standard deviations of where they are expected …
+/// Half width of the search window around a predicted pose or a given start, in standard deviations.
 pub(crate) const WINDOW_SIGMAS: f64 = 3.0;
-/// … but at least so far around, which is enough for earlier scans of a way that is known …
+/// Smallest search window. It suffices to find earlier scans along a known path.
 pub(crate) const NARROWEST_WINDOW: Window = Window { metres: 0.1, radians: 0.03 };
-/// … and at most.
+/// Largest search window around a predicted pose.
 pub(crate) const WIDEST_WINDOW: Window = Window { metres: 1.5, radians: 0.6 };
-/// A match that lies farther from its prediction is none: the square of a Mahalanobis distance in three dimensions.
+/// Gate above which a match is rejected: squared Mahalanobis distance to its prediction, in three
+/// dimensions.
 pub(crate) const GATE_SQUARED_SIGMAS: f64 = 25.0;
 
-/// Standard deviation of the distance of a return from what it hit, metres: what makes steps of a search find it.
+/// Standard deviation of the distance between a return and the surface that it hit, metres. It is wide
+/// enough that the steps of a search do not miss the surface.
 pub(crate) const RETURN_SIGMA: f64 = 0.12;
-/// Steps of a search, metres …
+/// Step of the correlative search, metres.
 pub(crate) const SEARCH_STEP: f64 = 0.1;
-/// … and radians.
+/// Step of the correlative search, radians.
 pub(crate) const SEARCH_TURN: f64 = 0.026;
-/// Placements that a search looks at, at most; wider windows are searched in larger steps.
+/// Maximum number of candidate poses in one search; wider windows are searched in larger steps.
 pub(crate) const MOST_PLACEMENTS: f64 = 2e5;
-/// By so much of the mean likelihood a placement at the edge of the window has to be better than the guess.
+/// Mean likelihood by which a candidate at the edge of the window has to exceed the guess.
 pub(crate) const GUESS_PREFERENCE: f64 = 0.03;
-/// Descent that leaves the place which the search found is not believed beyond this.
+/// Largest distance between the result of gradient descent and the result of the search before it; beyond it
+/// the descent is rejected.
 pub(crate) const FARTHEST_DESCENT: Window = Window { metres: 0.25, radians: 0.1 };
-/// A point tells something if its likelihood at its place is at least this: within some 15 cm of a wall.
+/// Likelihood from which a point counts as being at a wall, and so constrains the pose: within some 15 cm of
+/// a wall.
 pub(crate) const NEAR_WALL_LIKELIHOOD: f64 = 0.45;
 
-/// A registration to planes reaches no farther than this; wider windows are searched from several places.
+/// Largest window of one registration to planes; wider windows are searched with several starts.
 pub(crate) const REGISTRATION_REACH: Window = Window { metres: 0.8, radians: 0.15 };
-/// The window of a registration is taken for no narrower than this.
+/// Smallest window that a registration to planes assumes.
 pub(crate) const NARROWEST_REGISTRATION: Window = Window { metres: 0.2, radians: 0.01 };
-/// So many places, and turns, to each side are searched from, at most: the number of registrations grows with the cube.
+/// Maximum number of start positions, and of start headings, to each side: the number of registrations grows
+/// with the cube.
 pub(crate) const MOST_REGISTRATION_STEPS: f64 = 3.0;
-/// Planes nearer than this to a point explain it, metres.
+/// Distance to a plane below which the plane explains a point, metres.
 pub(crate) const ON_PLANE: f32 = 0.15;
-/// Planes whose normals have no more than this of a direction, as a cosine, let points slide along it: normals are off by 20°
-/// (docs/experiments/2026-11-along-streets.md).
+/// Cosine between a plane normal and a direction below which the plane does not constrain points along that
+/// direction: normals are off by 20° (docs/experiments/2026-11-along-streets.md).
 pub(crate) const SLIDING_COSINE: f64 = 0.35;
-/// A proposed place is looked for along the open direction until it moves less than this, metres, …
+/// Shift along the degenerate direction below which the refinement of a proposed place has converged,
+/// metres.
 pub(crate) const SETTLED: f64 = 0.05;
-/// … or so often.
+/// Maximum number of iterations of that refinement.
 pub(crate) const MOST_SLIDES: usize = 4;
-/// Places along it are compared at least so far to either side, metres, …
+/// Smallest half width of the search along the degenerate direction, metres.
 pub(crate) const NARROWEST_SLIDE: f64 = 0.3;
-/// … so far apart, metres, …
+/// Step of the search along the degenerate direction, metres.
 pub(crate) const SLIDE_STEP: f64 = 0.05;
-/// … by so many points, evenly from all of them: more say the same.
+/// Maximum number of points in that search, evenly taken from all of them: more points add no information.
 pub(crate) const MOST_SLIDE_POINTS: usize = 1000;
-/// Neighbouring points share the errors of the map, so that so many count as one: on two drives, sweeps then scatter as far as
-/// they say (docs/experiments/2026-11-along-streets.md).
+/// Number of points that count as one independent measurement, because neighbouring points share the errors
+/// of the map. With this value the scatter of sweeps agreed with their computed uncertainty on two drives
+/// (docs/experiments/2026-11-along-streets.md).
 pub(crate) const POINTS_PER_INDEPENDENT_ONE: f64 = 50.0;
 
-/// Standard deviation of the distance of one point from its wall, metres; so large because neighbours on one wall err together.
+/// Standard deviation of the distance of one point from its wall, metres; so large because neighbours on one
+/// wall have correlated errors.
 pub(crate) const POINT_SIGMA: f64 = 0.1;
-/// Normals are off by some 10°: so much of the information of the strongest direction appears in the weakest without anything
-/// being there, and is taken off in 2D.
+/// Fraction of the information of the strongest direction that is subtracted in every direction in 2D.
+/// Normals are off by some 10°, so this fraction appears as spurious information in the weakest direction.
 pub(crate) const SPURIOUS_FRACTION: f64 = 0.04;
-/// In 3D, where what is strongest may tell nothing of the weakest: variance of a normal about each of two axes along its surface,
-/// rad² (docs/experiments/2026-11-starts-in-3d-maps.md).
+/// Variance of a normal about each of two axes along its surface, rad². It is used in 3D, where the
+/// strongest direction need not say anything about the weakest
+/// (docs/experiments/2026-11-starts-in-3d-maps.md).
 pub(crate) const NORMAL_VARIANCE: f64 = 0.03;
 
-/// Noise of a range, metres: no point is weighed more.
+/// Standard deviation of a range, metres: it bounds the weight of a point.
 pub(crate) const RANGE_NOISE: f32 = 0.02;
-/// Points farther off than about this count little, metres: as in registration …
+/// Distance from a plane at which the robust weight of a point begins to fall, metres: as in registration.
 pub(crate) const ROBUST_SCALE: f32 = 0.1;
-/// … and beyond this nothing.
+/// Distance from a plane beyond which a point has no weight, metres.
 pub(crate) const ROBUST_REACH: f32 = 3.0 * ROBUST_SCALE;
-/// Points in one cube of this edge, metres, err together. Four times as much tells about the same
-/// (docs/experiments/2026-11-honest-covariance.md).
+/// Edge of the cubes whose points are taken to have a common error, metres. Cubes four times as large give
+/// about the same information (docs/experiments/2026-11-honest-covariance.md).
 pub(crate) const ERROR_PATCH: f32 = 1.0;

@@ -1,7 +1,9 @@
-//! The numbers of localisation that could be others, by theme. Each says its unit and why it is what it is, and names the experiment
-//! where there is one; where no reason is named it is assumed. Metres, radians and seconds if nothing else is said.
+//! The tunable numbers of localisation, by theme. Each comment gives the unit and the reason for the value,
+//! and names the experiment where there is one; a value without a reason is assumed. Units are metres,
+//! radians and seconds unless stated otherwise.
 //!
-//! Sizes of arrays, bounds of number formats and what keeps matrices regular are no settings: they stand where they are used.
+//! Sizes of arrays, limits of number formats and terms that keep matrices regular are no settings: they are
+//! defined where they are used.
 
 pub(crate) mod changes;
 pub(crate) mod evidence;

@@ -1,15 +1,18 @@
-//! How places are proposed, compared and believed (`search.rs`, `finder.rs`, `hypothesis.rs`, `rivals.rs`, `distinctness.rs`).
+//! How places are proposed, compared and accepted (`search.rs`, `finder.rs`, `hypothesis.rs`, `rivals.rs`,
+//! `distinctness.rs`).
 //!
-//! The fit of a place is the fraction of beams that the map explains less that which it contradicts, in the mean over scans.
+//! The fit of a place is the fraction of beams that the map explains minus the fraction that it contradicts,
+//! averaged over scans.
 
 use portolan_matching::WantedPlaces;
 
 use super::tracking::SLIP_WINDOW;
 use crate::known_map::Window;
 
-/// What a search of the whole map proposes in 2D: what scores at least this in coarse cells, and this fraction of the best. The
-/// greedy search alone, so wide that it finds the best place, and most others, where corridors look alike; a quarter as wide misses
-/// the best (docs/experiments/2026-11-localise.md).
+/// Which places a search of the whole map proposes in 2D: those that reach a minimum score in coarse cells
+/// and a fraction of the best score. The search is greedy alone. Its beam is so wide that it finds the best
+/// place, and most others, where corridors look alike; a quarter of the width misses the best
+/// (docs/experiments/2026-11-localise.md).
 pub(crate) const PROPOSALS_2D: WantedPlaces = WantedPlaces {
     min_score: 0.35,
     share_of_best: 0.75,
@@ -19,77 +22,84 @@ pub(crate) const PROPOSALS_2D: WantedPlaces = WantedPlaces {
     beam: 8192,
     lookups: 0,
 };
-/// Around a place where it is proposed in 2D, coarsely.
+/// Window around a coarsely proposed place in which it is refined in 2D.
 pub(crate) const AROUND_PROPOSAL_2D: Window = Window { metres: 0.3, radians: 0.06 };
-/// So many of the places that are seen from above in 3D, which fit best after registration, are looked into.
+/// Maximum number of proposed places in 3D: those from the search seen from above that fit best after
+/// registration.
 pub(crate) const MOST_PROPOSALS_3D: usize = 8;
-/// Around a place where it is proposed in 3D.
+/// Window around a proposed place in which it is refined in 3D.
 pub(crate) const AROUND_PROPOSAL_3D: Window = Window { metres: 0.8, radians: 0.12 };
 
-/// What is known of a place that was just proposed: standard deviations, metres and radians.
+/// Standard deviations of a newly proposed place, metres and radians.
 pub(crate) const PROPOSED_SIGMAS: (f64, f64) = (0.1, 0.02);
-/// Places nearer to each other are the same.
+/// Distance below which two poses are the same place.
 pub(crate) const SAME_PLACE: Window = Window { metres: 0.6, radians: 0.2 };
-/// Places that are kept, at most.
+/// Maximum number of places that are kept.
 pub(crate) const MOST_PLACES: usize = 32;
-/// A place whose fit is worse than that of the best by so much is refuted.
+/// Difference to the fit of the best place above which a place is refuted.
 pub(crate) const REFUTED_BY: f64 = 0.3;
 
-/// A place is believed if it fits so well …
+/// Minimum fit of an accepted place, for a scanner that has moved.
 pub(crate) const BELIEVED_FIT: f64 = 0.4;
-/// … and what was seen speaks for it against each other place by so many standard deviations: with a margin to the most that wrong
-/// places reach which fit so, in parts of the building that the map does not know and in maps of another building. 2 believed
-/// 103 right places where 2.5 believed 95, at a fit of 0.45 (docs/experiments/2026-11-believing-places.md).
+/// Minimum evidence for an accepted place against each other place, in standard deviations. It has a margin
+/// to the highest evidence of wrong places with such a fit, in parts of the building that the map does not
+/// know and in maps of another building. At a fit of 0.45, a threshold of 2 accepted 103 right places where
+/// 2.5 accepted 95 (docs/experiments/2026-11-believing-places.md).
 pub(crate) const BELIEVED_SIGMAS: f64 = 2.5;
-/// It has to fit better by so much for a scanner that stands, because one view says little; …
+/// Additional fit that a scanner at rest needs, because one view is weak evidence. It falls linearly with
+/// motion.
 pub(crate) const STANDING_FIT: f64 = 0.2;
-/// … after this way, metres, no more, …
+/// Distance travelled after which no additional fit is needed, metres.
 pub(crate) const MOVED_METRES: f64 = 1.5;
-/// … where a radian of turning counts as so many metres.
+/// Distance that counts as much as one radian of rotation here, metres.
 pub(crate) const METRES_PER_RADIAN: f64 = 0.5;
-/// A place is believed after so many searches that proposed nothing better, and given up after as many in which another one is
-/// better.
+/// Number of searches without a better proposal after which a place is accepted, and number of searches with
+/// a better one after which it is given up.
 pub(crate) const CONFIRMING_SEARCHES: u32 = 2;
-/// From this fit on a place is said to be tentative.
+/// Minimum fit of a place that is reported as tentative.
 pub(crate) const TENTATIVE_FIT: f64 = 0.35;
-/// By so much of the fit a place is preferred that lies where the start is said to be.
+/// Bonus to the fit of a place that agrees with the given start.
 pub(crate) const GIVEN_START_FIT: f64 = 0.2;
-/// A place agrees with the start that was given from this agreement on, which is 1 within three standard deviations.
+/// Minimum agreement of a place with the given start; the agreement is 1 within three standard deviations.
 pub(crate) const START_AGREEMENT: f64 = 0.5;
 
-/// The map is searched again when something new was seen after this pause, seconds, …
+/// Pause after the first search before the map is searched again, if a scan was kept since, seconds.
 pub(crate) const FIRST_PAUSE: f64 = 0.5;
-/// … which grows by this factor with each search, …
+/// Factor by which the pause grows with each search.
 pub(crate) const PAUSE_FACTOR: f64 = 1.25;
-/// … up to this in 2D, seconds: as long as a search costs. Half as long found the same
-/// (docs/experiments/2026-11-localise.md) …
+/// Longest pause in 2D, seconds: the duration of a search. Half of it found the same
+/// (docs/experiments/2026-11-localise.md).
 pub(crate) const LONGEST_PAUSE_2D: f64 = 1.0;
-/// … and to this in 3D.
+/// Longest pause in 3D, seconds.
 pub(crate) const LONGEST_PAUSE_3D: f64 = 3.0;
-/// A scanner that stands is taken to have been looked for once more after so many seconds in which scans went on fitting.
+/// Time after which a search counts as repeated for a scanner at rest whose scans still fit, seconds.
 pub(crate) const STANDING_PAUSE: f64 = 3.0;
 
-/// A start is looked around at if its heading is known to this standard deviation, radians; at any heading otherwise, …
+/// Standard deviation of the heading of a given start up to which poses around it are tried, radians; above
+/// it, all headings are searched.
 pub(crate) const KNOWN_HEADING_SIGMA: f64 = 1.0;
-/// … if the area where it may be is not wider than this, metres: of a wider one the search of the whole map is as good.
+/// Half width of the area of a given start up to which that area is searched, metres; for a larger one the
+/// search of the whole map is as good.
 pub(crate) const WIDEST_START_AREA: f64 = 100.0;
-/// A satellite fix of so long before the scan before is not where the scanner is, seconds.
+/// Age of a satellite fix, at the scan before it is used, from which it no longer gives the position of the
+/// scanner, seconds.
 pub(crate) const STALE_FIX: f64 = 0.5;
 
-/// A place that was left for another one nearby is given up once that fits better over so many scans …
+/// Number of scans over which a place that the pose slipped away from is compared before one of the two is
+/// given up.
 pub(crate) const RIVAL_SCANS: usize = 3;
-/// … by so much.
+/// Lead in fit at which the place that was left is refuted.
 pub(crate) const RIVAL_LEAD: f64 = 0.2;
-/// Another place is better if it fits so well …
+/// Minimum fit of another place to count as better.
 pub(crate) const BETTER_FIT: f64 = 0.45;
-/// … and so much better.
+/// Minimum lead in fit of another place to count as better.
 pub(crate) const BETTER_BY: f64 = 0.12;
 
-/// Places of a map are examined so far apart along the way, metres, …
+/// Distance between examined places of a map along its trajectories, metres.
 pub(crate) const EXAMINED_SPACING: f64 = 2.0;
-/// … and no more of them: farther apart in larger maps.
+/// Maximum number of examined places: in larger maps they are farther apart.
 pub(crate) const MOST_EXAMINED: f64 = 2000.0;
-/// Somewhere else is farther away than this. Who is told to be nearer than that finds the place by itself: scans that contradict are
-/// looked for so far around.
+/// Distance beyond which a place counts as another place. A start given within this distance leads to the
+/// right place by itself: contradicting scans are searched in this window.
 pub(crate) const ELSEWHERE: Window =
     Window { metres: SLIP_WINDOW.metres, radians: 15.0 * std::f64::consts::PI / 180.0 };

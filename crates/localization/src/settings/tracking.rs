@@ -1,55 +1,57 @@
-//! How a known place is followed (`belief.rs`, `finder.rs`, `pace.rs`).
+//! How a known place is tracked (`belief.rs`, `finder.rs`, `pace.rs`).
 
 use super::scans::NEW_VIEW_RADIANS;
 use crate::known_map::Window;
 
-/// Drift of local SLAM as a random walk: metres per root of a metre, …
+/// Translational drift of local SLAM as a random walk by distance, metres per root of a metre.
 pub(crate) const DRIFT_METRES_BY_WAY: f64 = 0.04;
-/// … radians per root of a metre …
+/// Rotational drift by distance, radians per root of a metre.
 pub(crate) const DRIFT_RADIANS_BY_WAY: f64 = 0.012;
-/// … and of a radian, …
+/// Rotational drift by rotation, radians per root of a radian.
 pub(crate) const DRIFT_RADIANS_BY_TURN: f64 = 0.02;
-/// … metres per root of a second …
+/// Translational drift by time, metres per root of a second.
 pub(crate) const DRIFT_METRES_BY_TIME: f64 = 0.005;
-/// … and radians per root of a second.
+/// Rotational drift by time, radians per root of a second.
 pub(crate) const DRIFT_RADIANS_BY_TIME: f64 = 0.001;
-/// Two matches are independent after this way, metres, …
+/// Distance after which two matches are independent, metres; nearer ones share the errors of the map.
 pub(crate) const INDEPENDENT_METRES: f64 = 0.5;
-/// … this turn, radians, …
+/// Rotation after which two matches are independent, radians.
 pub(crate) const INDEPENDENT_RADIANS: f64 = NEW_VIEW_RADIANS;
-/// … or this time, seconds; nearer ones see the same errors of the map.
+/// Time after which two matches are independent, seconds.
 pub(crate) const INDEPENDENT_SECONDS: f64 = 10.0;
 
-/// A scan that contradicts the map where it is believed to be is looked for so far around, …
+/// Window around the tracked pose in which a scan that contradicts the map is searched.
 pub(crate) const SLIP_WINDOW: Window = Window { metres: 1.0, radians: 0.3 };
-/// … is believed to be there if it fits better by so much, …
+/// Minimum gain in fit for the pose to slip to a match in [`SLIP_WINDOW`].
 pub(crate) const SLIP_FIT: f64 = 0.2;
-/// … and its place is then known to these standard deviations, metres and radians.
+/// Standard deviations of the pose after a slip, metres and radians.
 pub(crate) const SLIP_SIGMAS: (f64, f64) = (0.15, 0.03);
-/// The whole map is searched for better places after so many seconds where the place is uncertain; …
+/// Time between searches of the whole map for better places while the place is uncertain, seconds.
 pub(crate) const UNCERTAIN_CHECK_SECONDS: f64 = 2.0;
-/// … where it is not, after more seconds …
+/// Minimum time between searches of the whole map while the place is certain, seconds.
 pub(crate) const SURE_CHECK_SECONDS: f64 = 10.0;
-/// … and this way, metres.
+/// Minimum distance travelled between searches of the whole map while the place is certain, metres.
 pub(crate) const SURE_CHECK_METRES: f64 = 3.0;
-/// Outside of the map the place is lost when its standard deviation reaches this, metres.
+/// Standard deviation of the position at which a place is lost outside of the map, metres.
 pub(crate) const LOST_SIGMA: f64 = 2.0;
 
-/// Speeds are those over at least so many seconds: stamps come in bursts.
+/// Minimum time over which a speed is measured, seconds: time stamps come in bursts.
 pub(crate) const SPEED_SPAN: f64 = 1.0;
-/// Nothing that has moved for so many such spans …
+/// Number of time spans ([`SPEED_SPAN`]) after which the highest speed is known well enough to detect jumps.
 pub(crate) const MOVING_SPANS: u32 = 5;
-/// … moves so many times as fast all at once, …
+/// Multiple of the highest measured speed above which a step is a jump; dimensionless.
 pub(crate) const TIMES_AS_FAST: f64 = 3.0;
-/// … by so many metres at least: it was carried while nothing was recorded, or its odometry was reset.
+/// Minimum length of a step that is a jump because of its speed, metres: the platform was carried while
+/// nothing was recorded, or its odometry was reset.
 pub(crate) const SHORTEST_JUMP: f64 = 2.0;
-/// What moves by itself changes its velocity by what friction holds at most, m/s², as much as its weight: …
+/// Largest acceleration of a platform that moves by itself, m/s²: friction does not exceed its weight. It
+/// limits the deviation from constant velocity.
 pub(crate) const FRICTION: f64 = 9.81;
-/// … beyond that it does not leave the way on which it was by so many metres. Ways of real recordings leave it by 0.85 m
-/// (docs/experiments/2026-11-kidnapped.md).
+/// Minimum deviation from constant velocity for a jump, metres. In real recordings the trajectory deviates
+/// by up to 0.85 m (docs/experiments/2026-11-kidnapped.md).
 pub(crate) const FARTHEST_OFF: f64 = 1.0;
-/// Stamps are off by so many seconds.
+/// Error of time stamps, seconds.
 pub(crate) const STAMP_ERROR: f64 = 0.3;
-/// In the second after a jump local SLAM may still be catching up: from so many metres on that is one more
-/// (docs/experiments/2026-11-kidnapped.md).
+/// Minimum deviation for another jump within a second after a jump, metres: local SLAM may still be catching
+/// up (docs/experiments/2026-11-kidnapped.md).
 pub(crate) const CATCHING_UP: f64 = 0.3;

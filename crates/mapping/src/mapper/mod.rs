@@ -1,8 +1,8 @@
 //! The mapper: measurements in, a map out.
 //!
-//! Local SLAM runs where [`Mapper::add`] is called; the pose graph runs behind it on a thread of its
-//! own, with more threads for searching. What comes out does not depend on how many there are: the
-//! pose graph takes its work in the order in which local SLAM made it.
+//! Local SLAM runs on the thread that calls [`Mapper::add`]; the pose graph runs behind it on a thread of its
+//! own, with more threads for searching. The result does not depend on the number of threads: the pose graph
+//! takes its work in the order in which local SLAM made it.
 
 mod work;
 
@@ -28,14 +28,14 @@ use crate::stop::Stop;
 use crate::{DegenerateInterval, InitialTrajectoryPose, PoseGraph, Space, TrajectoryId};
 use portolan_local_slam::MatchingResult;
 
-/// How the mapper works, apart from what it maps.
+/// Settings of the mapper that do not concern the map.
 #[derive(Clone, Copy, Debug)]
 pub struct MapperSettings {
-    /// Threads for searching and optimising; with one everything happens where it is called.
+    /// Threads for searching and optimising; with one, everything runs on the thread of the caller.
     pub threads: usize,
     /// Work that may wait behind local SLAM before [`Mapper::add`] waits.
     pub max_backlog: usize,
-    /// How long [`Mapper::add`] may wait: for ever when reading a file, zero when live.
+    /// Maximum time that [`Mapper::add`] waits: for ever when reading a file, zero when live.
     pub max_wait: Duration,
 }
 
@@ -54,26 +54,26 @@ struct ActiveTrajectory<S: Space> {
     scans: Spool<ScanPose>,
     last_node: Option<u32>,
     next_node: u32,
-    /// What it is in the pose graph now: a trajectory of its own for each piece of map.
+    /// Its present trajectory in the pose graph: one for each piece of map.
     piece: TrajectoryId,
 }
 
-/// A time from which on a trajectory was lost: what came later is a piece of map of its own, until a loop closure
+/// A loss of the pose of a trajectory: scans after it form a piece of map of their own, until a loop closure
 /// ties it to the rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Loss {
-    /// Time of the first scan that did not fit any more, or of the last one before a gap.
+    /// Time of the first scan that did not fit, or of the last one before a gap.
     pub since: Time,
     /// Time of the first scan of the new piece, or of the last one of all.
     pub until: Time,
-    /// The trajectory that the new piece is in the map; none where nothing fitted any more until the end.
+    /// The trajectory of the new piece in the map; none if no scan fitted any more until the end.
     pub piece: Option<TrajectoryId>,
-    /// It is a gap without scans in which odometry measured the motion.
+    /// Whether it is a gap without scans in which odometry measured the motion.
     pub is_gap: bool,
 }
 
 impl Loss {
-    /// Whether nobody knows where a scan was taken that has this time: it fitted nowhere.
+    /// Whether the pose of a scan with this time is unknown: it fitted nowhere.
     pub fn leaves_open(&self, time: Time) -> bool {
         let is_before_end = time < self.until || self.piece.is_none();
         !self.is_gap && self.since <= time && is_before_end
@@ -95,11 +95,11 @@ pub struct Mapper<S: Space> {
     losses: Vec<Loss>,
     memory: Memory,
     stop: Stop,
-    /// Where what grows with time waits; in memory if there is no such folder.
+    /// Folder for data that grow with time; none: they stay in memory.
     spool_folder: Option<PathBuf>,
 }
 
-/// What stays of a trajectory for the map.
+/// Data of a trajectory that are kept for the map.
 #[derive(Clone, Debug)]
 pub struct EndedTrajectory {
     /// Its options.
@@ -108,7 +108,7 @@ pub struct EndedTrajectory {
     pub sensors: BTreeSet<SensorId>,
     /// Every scan.
     pub scans: Spool<ScanPose>,
-    /// Where on the Earth its fixed frame begins, if that was measured: the first satellite fix.
+    /// Origin of its fixed frame on the Earth, if that was measured: the first satellite fix.
     pub fixed_frame_on_earth: Option<GeodeticPosition>,
 }
 
@@ -122,7 +122,7 @@ impl<S: Space> Mapper<S> {
         Self::with_graph(options, settings, graph, BTreeMap::new())
     }
 
-    /// Continues a map: `graph` holds its trajectories, `ended` what else is known of them.
+    /// Continues a map: `graph` holds its trajectories, `ended` the other data of these.
     ///
     /// # Errors
     /// If threads cannot be started.
@@ -135,7 +135,8 @@ impl<S: Space> Mapper<S> {
         (S::mapper_work().with_graph)(options, settings, graph, ended)
     }
 
-    /// Remembers what was matched, searched and optimised with this. To be called before anything is added.
+    /// Caches the results of matching, searching and optimising in this memory. To be called before anything
+    /// is added.
     ///
     /// # Errors
     /// If the pose graph has stopped because of an internal fault.
@@ -143,8 +144,8 @@ impl<S: Space> Mapper<S> {
         (S::mapper_work().remember_with)(self, memory)
     }
 
-    /// Lets the poses of scans, and what stays of removed nodes, wait in nameless files in this folder instead of memory. To be
-    /// called before anything is added.
+    /// Keeps the poses of scans and of removed nodes in nameless files in this folder instead of memory. To
+    /// be called before anything is added.
     ///
     /// # Errors
     /// If the pose graph has stopped because of an internal fault.
@@ -164,8 +165,8 @@ impl<S: Space> Mapper<S> {
         (S::mapper_work().add_trajectory)(self, sensors, initial_pose)
     }
 
-    /// Takes a measurement. Returns what became of scans, this one or earlier ones that waited for
-    /// other sensors. Waits for the pose graph no longer than the settings say.
+    /// Adds a measurement. Returns the results of scans, this one or earlier ones that waited for other
+    /// sensors. Waits for the pose graph no longer than `max_wait` of the settings.
     ///
     /// # Errors
     /// If the trajectory does not exist or has ended, or the pose graph has stopped because of an internal fault.
@@ -178,7 +179,7 @@ impl<S: Space> Mapper<S> {
         (S::mapper_work().add)(self, id, sensor_id, measurement)
     }
 
-    /// Ends a trajectory: what waits is used, its submaps are completed.
+    /// Ends a trajectory: waiting measurements are used, its submaps are completed.
     ///
     /// # Errors
     /// If the trajectory does not exist or has ended, or the pose graph has stopped because of an internal fault.
@@ -186,27 +187,27 @@ impl<S: Space> Mapper<S> {
         (S::mapper_work().finish_trajectory)(self, id)
     }
 
-    /// How long local SLAM took for each scan that it matched.
+    /// Times that local SLAM took for each scan that it matched.
     pub fn scan_times(&self) -> &LatencyHistogram {
         &self.scan_times
     }
 
-    /// Where scans of ended trajectories left directions open.
+    /// Intervals in which scans of ended trajectories had degenerate directions.
     pub fn degenerate_intervals(&self) -> &[DegenerateInterval] {
         &self.degenerate_intervals
     }
 
-    /// When trajectories were lost, in order of time.
+    /// Losses of pose, in order of time.
     pub fn losses(&self) -> &[Loss] {
         &self.losses
     }
 
-    /// How far the pose graph is.
+    /// Progress of the pose graph.
     pub fn progress(&self) -> BackendProgress {
         self.backend.progress()
     }
 
-    /// Gives access to the pose graph after everything given so far; waits for the answer.
+    /// Runs work on the pose graph after everything enqueued so far; waits for the result.
     ///
     /// # Errors
     /// If the pose graph has stopped because of an internal fault.
@@ -228,17 +229,18 @@ impl<S: Space> Mapper<S> {
         self.backend.enqueue(work)
     }
 
-    /// What was dropped or repaired in ended trajectories and in ordering the sensors.
+    /// Issues: data dropped or repaired in ended trajectories and in ordering the sensors.
     pub fn issues(&self) -> IssueLog {
         (S::mapper_work().issues)(self)
     }
 
-    /// From now on nothing is searched any more, and the map is optimised only once, at the end: it is wanted as it is.
+    /// Finishes with the map as it is: from now on nothing is searched any more, and the map is optimised
+    /// only once, at the end.
     pub fn stop(&self) {
         self.stop.ask();
     }
 
-    /// Ends all trajectories, optimises for the last time, and gives the map.
+    /// Ends all trajectories, runs the final optimisation, and returns the map.
     ///
     /// # Errors
     /// If the pose graph has stopped because of an internal fault.
@@ -246,7 +248,8 @@ impl<S: Space> Mapper<S> {
         self.finish_while(&mut |_| true)
     }
 
-    /// As [`Self::finish`]; `goes_on` is told now and then how far it is, and with false it does as [`Self::stop`].
+    /// As [`Self::finish`]; `goes_on` receives the progress now and then; if it returns false, the effect is
+    /// that of [`Self::stop`].
     ///
     /// # Errors
     /// As for [`Self::finish`].

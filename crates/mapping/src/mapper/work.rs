@@ -1,4 +1,4 @@
-//! What a mapper does, compiled in this crate once for each space.
+//! The work of a mapper, compiled in this crate once for each space.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -21,8 +21,8 @@ use portolan_local_slam::{LocalSlam, Lost, MatchingResult, motion_filter};
 
 /// The functions behind the methods of [`Mapper`], by their names.
 ///
-/// A generic function is compiled and optimised again by every crate and program that calls it, with all that it calls; for
-/// a mapper that takes half a minute. [`Space::mapper_work`] gives them as they were compiled here.
+/// A generic function is compiled and optimised again by every crate and program that calls it, with all that
+/// it calls; for a mapper that takes half a minute. [`Space::mapper_work`] returns them as compiled here.
 #[allow(clippy::type_complexity)]
 pub struct MapperWork<S: Space> {
     pub(super) with_graph: fn(
@@ -172,7 +172,7 @@ impl<S: Space> Mapper<S> {
         Ok(results)
     }
 
-    /// Gives a measurement, in its turn, to local SLAM and to the pose graph.
+    /// Passes a measurement, in order of time, to local SLAM and to the pose graph.
     fn dispatch(
         &mut self,
         id: TrajectoryId,
@@ -216,7 +216,7 @@ impl<S: Space> Mapper<S> {
         Ok(results)
     }
 
-    /// Remembers where scans were taken and gives the inserted ones to the pose graph.
+    /// Stores the poses of scans and passes the inserted ones to the pose graph.
     fn pass_on(&mut self, id: TrajectoryId, results: &[MatchingResult<S>]) -> Result<(), MapperError> {
         for result in results {
             if let Some(lost) = &result.lost {
@@ -234,7 +234,7 @@ impl<S: Space> Mapper<S> {
         Ok(())
     }
 
-    /// Ends the piece of map that was being drawn, and begins another one, which has no place in the rest yet.
+    /// Ends the current piece of map, and begins another one, which is not connected with the rest yet.
     fn begin_piece(&mut self, id: TrajectoryId, lost: &Lost<S>, time: Time) -> Result<(), MapperError> {
         let piece = TrajectoryId(self.next_trajectory);
         let begun = self.scan_poses();

@@ -1,13 +1,13 @@
-//! Where a trajectory lies in a map that it is not connected with yet.
+//! Localisation by consensus: finds the pose of a trajectory in a map that it is not connected with yet.
 //!
-//! Scans that are searched in whole submaps are found in wrong places too: one corridor looks like the
-//! next. Each match says where the whole trajectory would lie; wrong ones say something different every
-//! time, right ones agree. So matches wait until enough of them do.
+//! Scans that are searched in whole submaps also match in wrong places: corridors look alike. Each match
+//! implies a pose of the whole trajectory. Wrong matches imply different poses, right ones agree. So matches
+//! wait until enough of them agree.
 //!
-//! The same holds for loop closures within a connected map that would bend it: one alone may be a corridor that looks
-//! like another one, and once it has bent the map, searches near it find nothing that contradicts. They wait until scans
-//! of several nodes agree how the map is to be bent, or until others have bent it so (pairwise consistency; Mangelson et
-//! al., ICRA 2018).
+//! The same holds for loop closures within a connected map that would bend it. A single one may be a
+//! perceptual alias of another corridor. Once it has bent the map, searches near it find nothing that
+//! contradicts it. Such loop closures wait until scans of several nodes agree how the map is to be bent, or
+//! until others have bent it so (pairwise consistency; Mangelson et al., ICRA 2018).
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,25 +18,26 @@ use super::PoseGraph;
 use super::travel::TravelGraph;
 use crate::{Constraint, NodeId, OpenShift, Space, TrajectoryId, of_trajectory};
 
-/// Matches agree if the places that they say differ by no more than this, metres and radians: the drift of
+/// Maximum differences between the poses implied by two matches that agree, metres and radians: the drift of
 /// a few submaps.
 const MAX_TRANSLATION: f64 = 0.5;
 const MAX_ROTATION: f64 = 0.09;
 const NO_DRIFT: SearchWindow = SearchWindow { linear: 0.0, angular: 0.0 };
-/// The winning place needs so many times the support of any other.
+/// Minimum ratio of the support of the winning pose to that of any other.
 const LEAD: f64 = 2.0;
-/// What a match says grows with its score above this, which the halves of symmetric buildings reach of each
-/// other.
+/// Score that counts as zero weight: wrong matches between the halves of symmetric buildings reach it. The
+/// weight of a match is its score above this.
 const SCORE_BY_CHANCE: f64 = 0.5;
 const MIN_WEIGHT: f64 = 0.01;
-/// So many loop closures wait at most for others to agree, the newest ones.
+/// Maximum number of loop closures that wait for others to agree; the newest are kept.
 const MOST_UNSUPPORTED: usize = 500;
 
-/// What is known of a place along a corridor has to come from others, over no more than so many metres of way: then it is known
-/// to some metres, and no other corridor is so near.
+/// Maximum path length over which the position along a corridor is known from other constraints, metres. Over
+/// such a path it is known to some metres, and no other corridor is so near.
 const SHORT_WAY: f64 = 50.0;
 
-/// Matches that leave different directions open, by the cosine between them, say nothing of each other.
+/// Cosine of the angle between degenerate directions that count as the same. Matches with different
+/// degenerate directions are not comparable.
 const PARALLEL: f64 = 0.98;
 
 /// A match that waits for others to agree.
@@ -45,20 +46,21 @@ struct WaitingMatch {
     constraint: Constraint,
     /// Takes the map frame of the later part to that of the earlier part.
     earlier_from_later: Rigid3,
-    /// Where it was found, in the map frame of the later part, metres.
+    /// Position of the match in the map frame of the later part, metres.
     place_in_later: Vector3,
-    /// The direction along which it does not tell the place, in the map frame of the earlier part.
+    /// The direction along which the match does not constrain the position, in the map frame of the earlier
+    /// part.
     open: Option<OpenShift>,
-    /// Turns directions in that frame to those in the frame of the node.
+    /// Rotates directions from that frame to the frame of the node.
     node_from_earlier: Quaternion,
-    /// Odometry told of the motion between the parts, and about the same.
+    /// Whether odometry measured the motion between the parts, and agrees with the match.
     is_where_odometry_says: bool,
-    /// How far its node is along its trajectory, metres.
+    /// Distance of its node along its trajectory, metres.
     way: f64,
 }
 
 impl WaitingMatch {
-    /// What it counts.
+    /// Weight of the match in the vote.
     fn weight(&self) -> f64 {
         let score = self.constraint.score.map_or(1.0, f64::from);
         (score - SCORE_BY_CHANCE).max(MIN_WEIGHT)
@@ -85,14 +87,15 @@ type Parts = (TrajectoryId, TrajectoryId);
 #[derive(Clone, Debug, Default)]
 pub(super) struct WaitingMatches {
     by_parts: BTreeMap<Parts, Vec<WaitingMatch>>,
-    /// Loop closures that would bend the map, in the order in which they were found.
+    /// Loop closures that would bend the map, in the order of the search.
     unsupported: Vec<Constraint>,
-    /// How many of them had to go because too many waited.
+    /// Number of those that were dropped because too many waited.
     forgotten: usize,
 }
 
 impl<S: Space> PoseGraph<S> {
-    /// Adds what was found; what would connect trajectories waits until enough of it agrees.
+    /// Adds constraints found by a search. Those that would connect trajectories wait until enough of them
+    /// agree.
     pub(super) fn add_found(&mut self, found: Vec<Constraint>) {
         // Searched in a window, or anywhere: that depends on what was connected when it was searched.
         let was_connected: Vec<bool> = found.iter().map(|c| self.is_within_part(c)).collect();
@@ -102,12 +105,12 @@ impl<S: Space> PoseGraph<S> {
             } else if was_connected {
                 self.waiting.unsupported.push(constraint);
             } else if self.is_within_part(&constraint) {
-                // Its parts have just been put together: there is a place to agree with.
+                // Its parts have just been connected: it can be compared with the map.
                 if self.fits(&constraint) {
                     self.take(constraint);
                 }
             } else if constraint.open.is_some() {
-                // Parts that it alone connected would be free to slide along what it leaves open.
+                // Parts that it alone connected would be free to slide along its degenerate direction.
                 self.waiting.unsupported.push(constraint);
             } else {
                 self.wait_for_agreement(constraint);
@@ -116,18 +119,19 @@ impl<S: Space> PoseGraph<S> {
         self.take_supported();
     }
 
-    /// Whether a constraint relates what is connected already.
+    /// Whether the trajectories of node and submap are connected already.
     fn is_within_part(&self, constraint: &Constraint) -> bool {
         let [node, submap] = [constraint.node_id.trajectory_id, constraint.submap_id.trajectory_id];
         self.state.connectivity.are_connected(node, submap)
     }
 
-    /// How many loop closures still wait for others to agree: at the end they are left out.
+    /// Number of loop closures that still wait for others to agree: at the end they are left out.
     pub fn unsupported_loop_closures(&self) -> usize {
         self.waiting.unsupported.len() + self.waiting.forgotten
     }
 
-    /// Takes loop closures that fit the map, or that others agree with; the rest goes on waiting. Returns how many it took.
+    /// Accepts loop closures that fit the map, or that others agree with; the rest keeps waiting. Returns the
+    /// number accepted.
     pub(super) fn take_supported(&mut self) -> usize {
         let waiting = std::mem::take(&mut self.waiting.unsupported);
         let travel = TravelGraph::new(&self.state, &self.ways);
@@ -170,7 +174,7 @@ impl<S: Space> PoseGraph<S> {
         Some(WaitingMatch { open: constraint.open.map(turned), node_from_earlier, ..waiting })
     }
 
-    /// Where a match says that the later of what it relates lies, the node or the submap.
+    /// The transform that a match implies for the later of node and submap.
     fn as_waiting(&self, constraint: &Constraint, is_node_later: bool) -> Option<WaitingMatch> {
         let map_from_submap = self.problem.submaps.get(&constraint.submap_id)?;
         let known = self.problem.nodes.get(&constraint.node_id)?.map_from_node;
@@ -197,9 +201,10 @@ impl<S: Space> PoseGraph<S> {
         self.state.constraints.push(constraint);
     }
 
-    /// Once the map is what all others make it: loop closures that left a direction open tell the place along it, too, if the
-    /// map agrees, and there are no other places that look alike so near; the rest is said to lie along it where the map
-    /// says. Returns whether there were any.
+    /// For the map as all other constraints shape it: a loop closure with a degenerate direction becomes a
+    /// full constraint if the map agrees with it along that direction, and the path is too short for another
+    /// place that looks alike. The others are shifted along their degenerate direction to where the map has
+    /// the node. Returns whether any became a full constraint.
     pub(super) fn settle_open_loop_closures(&mut self) -> bool {
         let travel = TravelGraph::new(&self.state, &self.ways);
         let mut constraints = std::mem::take(&mut self.state.constraints);
@@ -250,7 +255,8 @@ impl<S: Space> PoseGraph<S> {
         Some((parts, WaitingMatch { is_where_odometry_says, ..waiting }))
     }
 
-    /// Puts one part where the matches say it lies in the other, and takes the matches over.
+    /// Moves one part to its pose in the other part that the matches imply, and adds the matches as
+    /// constraints.
     fn connect_parts(&mut self, (earlier, later): Parts, agreed: Vec<WaitingMatch>) {
         let best = agreed.iter().max_by(|a, b| {
             a.constraint.score.partial_cmp(&b.constraint.score).unwrap_or(std::cmp::Ordering::Equal)
@@ -292,15 +298,16 @@ impl<S: Space> PoseGraph<S> {
     }
 }
 
-/// The matches that agree with the newest one, if they are enough and clearly more than any others that contradict it: differ by
-/// more than trajectories drift on the way between the two nodes, whose metres `drift` is asked for.
+/// The matches that agree with the newest one, if they are enough and clearly outweigh any others that
+/// contradict it. Matches contradict it if they differ by more than trajectories drift on the path between
+/// the two nodes; `drift` gives the drift over a path, metres.
 fn agreed(
     waiting: &mut Vec<WaitingMatch>,
     needed: usize,
     drift: impl Fn(f64) -> SearchWindow,
 ) -> Option<Vec<WaitingMatch>> {
     let support = |of: &WaitingMatch| {
-        // One scan that is found in several submaps of a place says it only once.
+        // A scan that matches in several submaps of a place counts once.
         let mut nodes: BTreeMap<NodeId, f64> = BTreeMap::new();
         for m in waiting.iter().filter(|m| agree(m, of)) {
             let weight = nodes.entry(m.constraint.node_id).or_default();
@@ -322,8 +329,9 @@ fn agreed(
     Some(std::mem::take(waiting))
 }
 
-/// A loop closure that would bend the map, as far as scans of at least `needed` nodes, which wait with it, agree: if fewer than that
-/// tell the place along some direction, and the others leave it open, it is believed across that direction alone.
+/// A loop closure that would bend the map, if matches of at least `needed` waiting nodes agree with it. If
+/// too few of these constrain the position along some direction that the others do not, it is accepted with
+/// that direction as degenerate.
 fn supported<'a>(
     of: &WaitingMatch,
     waiting: impl Iterator<Item = &'a WaitingMatch>,
@@ -353,8 +361,8 @@ fn agree(a: &WaitingMatch, b: &WaitingMatch) -> bool {
     agree_within(a, b, NO_DRIFT)
 }
 
-/// Whether matches differ by no more than that beyond what is usual. Compared where the scans lie: far from the origin a
-/// small turn moves much.
+/// Whether two matches agree within the usual tolerances plus `drift`. Compared at the positions of the
+/// scans: far from the origin a small rotation moves much.
 fn agree_within(a: &WaitingMatch, b: &WaitingMatch, drift: SearchWindow) -> bool {
     if a.open.zip(b.open).is_some_and(|(a, b)| a.direction.dot(&b.direction).abs() < PARALLEL) {
         return false;

@@ -1,7 +1,8 @@
-//! Whether scans agree with what other scans drew: parts of one map with each other, and a recording with known maps.
+//! Checks whether scans agree with submaps made of other scans: parts of one map with each other, and a
+//! recording with known maps.
 //!
-//! A wrong motion or a loop closure that is missed lays parts of a map over each other. The scans taken in the one part
-//! then contradict what the other shows there: they end in free space and pass through walls.
+//! A wrong motion estimate or a missed loop closure lays parts of a map over each other. The scans of one
+//! part then contradict the other: they end in its free space and pass through its walls.
 
 use std::collections::BTreeSet;
 
@@ -15,36 +16,39 @@ use super::PoseGraph;
 use super::policy::Spacing;
 use crate::{Node, NodeId, Space, SubmapEntry, SubmapId, TrajectoryId};
 
-/// Places are this far apart along the way, metres.
+/// Distance along the path between places, metres.
 const SPACING: f64 = 1.0;
-/// A submap knows a place if it explains or contradicts this fraction of the beams of its scan.
+/// Fraction of the beams of a scan that a submap has to explain or contradict to count as knowing the place.
 const KNOWN: f32 = 0.5;
-/// A map of which more places than this fraction are contradicted lies over itself. Real logs that come out right, as recorded and spoilt,
-/// come to at most 0.034; maps that are torn in a small part only come to less, and are told by `IN_A_ROW`
-/// (docs/experiments/2026-11-self-consistency.md, 2026-11-panes-and-few-beams.md).
+/// Fraction of contradicted places above which parts of a map count as lying over each other. Real logs whose
+/// maps are right, as recorded and degraded, reach at most 0.034. Maps that are torn only in a small part
+/// reach less than the threshold; `IN_A_ROW` detects them (docs/experiments/2026-11-self-consistency.md,
+/// 2026-11-panes-and-few-beams.md).
 const CONTRADICTORY: f64 = 0.06;
-/// Fewer contradicted places are not reported: a gate that was moved or a crowd explains them.
+/// Minimum number of contradicted places that are reported: a gate that was moved or a crowd explains fewer.
 const FEWEST: usize = 5;
-/// A scan that fits within so many metres and radians of its place, a wall or two of the grid, contradicts nothing: the map is bent
-/// there, not torn.
+/// Offset within which a scan may fit better, metres and radians (a wall or two of the grid), without
+/// contradicting the map: there it is bent, not torn.
 const NEAR_BY: (f64, f64) = (0.1, 0.02);
-/// In 3D a submap knows places within so many metres of its scans.
+/// Distance from its scans within which a 3D submap knows places, metres.
 const NEAR: f64 = 3.0;
-/// So many contradicted places in a row are a part that lies over another one, however large the rest of the map is.
+/// Number of consecutive contradicted places that show a part lying over another one, however large the rest
+/// of the map is.
 const IN_A_ROW: usize = 4;
 
-/// How scans agree, at their places in the finished map, with submaps that were drawn from other scans.
+/// Agreement of scans, at their poses in the finished map, with submaps made of other scans.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Consistency {
-    /// Places, one in a metre of way, known to submaps that were drawn from other scans.
+    /// Places, one per metre of path, known to submaps made of other scans.
     pub places: usize,
     /// Places that no other submap knows.
     pub unknown: usize,
     /// Those that at least half of these submaps contradict.
     pub contradicted: usize,
-    /// Those with which at least half of these submaps agree as well as loop closures have to that are looked for in the end.
+    /// Those with which at least half of these submaps agree as well as is required of loop closures in the
+    /// final search.
     pub confirmed: usize,
-    /// The most of them that follow each other along the way.
+    /// Largest number of consecutive contradicted places along the path.
     pub longest_row: usize,
 }
 
@@ -55,18 +59,18 @@ impl Consistency {
         self.contradicted >= FEWEST && is_torn || self.longest_row >= IN_A_ROW
     }
 
-    /// Whether scans fit what others showed there at most places that these know. Simulated offices seen by a poor lidar: at least
-    /// 19 of 25 places where they belong, at most 9 where they lie 0.3 m off or more.
+    /// Whether scans fit the submaps made of others at most places that these know. Simulated offices seen by
+    /// a poor lidar: at least 19 of 25 places at the right pose, at most 9 with an offset of 0.3 m or more.
     pub fn is_confirmed(&self) -> bool {
         self.is_known() && 2 * self.confirmed >= self.places
     }
 
-    /// Whether there are places enough to judge by: all of a short way will do.
+    /// Whether there are enough places to judge by: on a short path, all of them suffice.
     pub fn is_known(&self) -> bool {
         self.places > 0 && self.places >= FEWEST.min(self.places + self.unknown)
     }
 
-    /// Of places in the order of the way.
+    /// From places in the order along the path.
     fn of(judged: &[Option<Verdict>]) -> Self {
         let places: Vec<Verdict> = judged.iter().copied().flatten().collect();
         let is_contradicted = |verdict: &Verdict| *verdict == Verdict::Contradicted;
@@ -82,7 +86,7 @@ impl Consistency {
     }
 }
 
-/// What submaps that know a place say of the scan taken there.
+/// Verdict of the submaps that know a place on the scan taken there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Verdict {
     /// It was taken elsewhere.
@@ -94,7 +98,7 @@ enum Verdict {
 }
 
 impl<S: Space> PoseGraph<S> {
-    /// How the map agrees with itself; known after the final optimisation where submaps are drawn again.
+    /// Consistency of the map with itself; known after the final optimisation where submaps are redrawn.
     pub fn self_consistency(&self) -> Consistency {
         self.self_consistency
     }
@@ -106,8 +110,8 @@ impl<S: Space> PoseGraph<S> {
         self.consistency(|_| true, |submap, node| self.state.connectivity.are_connected(submap, node))
     }
 
-    /// How scans of some trajectories agree with what submaps of the others show where they were taken, whether or not anything
-    /// ties them together.
+    /// Agreement of the scans of some trajectories with the submaps of the others at their places, whether or
+    /// not constraints tie them together.
     pub fn consistency_with_others(&self, of: &BTreeSet<TrajectoryId>) -> Consistency {
         self.consistency(|node| of.contains(&node), |submap, _| !of.contains(&submap))
     }
@@ -135,8 +139,9 @@ impl<S: Space> PoseGraph<S> {
         Consistency::of(&judged)
     }
 
-    /// What the submaps that know the place of a node, and were drawn without it, say of its scan; none if there is no such submap.
-    /// Only submaps of trajectories are asked that are to be compared with that of the node.
+    /// Verdict on the scan of a node by the submaps that know its place and were made without it; none if
+    /// there is no such submap. Only submaps of trajectories that are to be compared with that of the node
+    /// count.
     fn judge(&self, id: NodeId, is_compared: impl Fn(TrajectoryId, TrajectoryId) -> bool) -> Option<Verdict> {
         let (node, place) = (self.state.nodes.get(&id)?, self.problem.nodes.get(&id)?);
         let acceptance = self.acceptance_of_known_place();
@@ -183,8 +188,8 @@ impl<S: Space> PoseGraph<S> {
 }
 
 impl<S: Space> PoseGraph<S> {
-    /// How a submap agrees with the scan of a node if it knows the place: most of what the beams meet, or in 3D, where planes say nothing
-    /// of free space, if it was drawn near by.
+    /// Agreement of a submap with the scan of a node if it knows the place: it knows at least half of the
+    /// beams ([`KNOWN`]), or in 3D, where planes do not represent free space, it has scans near by.
     fn agreement_where_known(
         &self,
         entry: &SubmapEntry<S>,
@@ -203,7 +208,8 @@ impl<S: Space> PoseGraph<S> {
     }
 }
 
-/// Poses around one as far off as parts of a map that is not torn: thin walls and noisy scans contradict each other by less.
+/// Poses around one, within the offset that parts of a map may have that is not torn: thin walls and noisy
+/// scans contradict each other by less.
 fn near_by() -> impl Iterator<Item = Rigid3> {
     let steps = |largest: f64| (-2..=2).map(move |i| f64::from(i) / 2.0 * largest);
     steps(NEAR_BY.0).flat_map(move |x| {

@@ -1,4 +1,4 @@
-//! Loop closures that all others together contradict.
+//! Detects and drops loop closures that all others together contradict.
 
 use portolan_geometry::{Dimension, Rigid3, rotation_angle};
 use portolan_numeric::median;
@@ -6,14 +6,16 @@ use portolan_numeric::median;
 use super::PoseGraph;
 use crate::{Constraint, Space};
 
-/// A loop closure is contradicted if the optimised graph disagrees with it by so many times the median
-/// disagreement, and by more than these metres and radians. (Of normally distributed errors along three axes
-/// not one in 10¹² is so large.)
+/// A loop closure is contradicted if its residual in the optimised graph exceeds this factor times the median
+/// residual, and the limits below in metres and radians. (Of normally distributed errors along three axes not
+/// one in 10¹² is so large.)
 const TIMES_MEDIAN: f64 = 5.0;
-/// In 2D as much as cells and bent submaps explain; in 3D scans lie on planes within a centimetre.
+/// Minimum residuals of a contradicted loop closure in 2D, metres and radians: as much as cells and bent
+/// submaps explain.
 const MIN_IN_PLANE: (f64, f64) = (0.2, 0.05);
+/// The same in 3D, where scans fit planes within a centimetre.
 const MIN_IN_SPACE: (f64, f64) = (0.05, 0.015);
-/// Fewer loop closures than this cannot outvote one of them.
+/// Minimum number of loop closures; fewer cannot outvote one of them.
 const MIN_LOOP_CLOSURES: usize = 5;
 
 impl<S: Space> PoseGraph<S> {
@@ -54,7 +56,7 @@ impl<S: Space> PoseGraph<S> {
         dropped
     }
 
-    /// Metres and radians between what the constraint says and what the graph says, where the constraint says anything.
+    /// Residual of a constraint, metres and radians, without its degenerate direction.
     pub(super) fn disagreement(&self, constraint: &Constraint) -> Option<(f64, f64)> {
         let error = self.error_of(constraint)?;
         let shift = error.translation.vector;
@@ -62,7 +64,7 @@ impl<S: Space> PoseGraph<S> {
         Some((shift.norm(), rotation_angle(&error)))
     }
 
-    /// The node's pose as the graph says, seen from the pose that the constraint says.
+    /// Pose of the node in the graph, relative to its pose by the constraint.
     pub(super) fn error_of(&self, constraint: &Constraint) -> Option<Rigid3> {
         let map_from_submap = self.problem.submaps.get(&constraint.submap_id)?;
         let map_from_node = self.problem.nodes.get(&constraint.node_id)?.map_from_node;

@@ -1,15 +1,16 @@
-//! How far places of a finished map may be off where scans told nothing of the motion and no loop closure does.
+//! Estimates the drift of a finished map where neither scans nor loop closures constrain the motion.
 //!
-//! Where scans leave a direction open, odometry or constant velocity decides, and its errors gather. A loop closure takes
-//! them away. So what places may be off against the first one is what gathers on the way with the least of it, over the trajectory,
-//! over gaps and over loop closures.
+//! In degenerate directions of scans, odometry or constant velocity determines the motion, and its errors
+//! accumulate. A loop closure removes them. So the uncertainty of a place relative to the first one is the
+//! smallest variance accumulated over any path between them: over the trajectory, over gaps and over loop
+//! closures.
 
 use super::PoseGraph;
 use super::shortest_ways::shortest_ways;
 use crate::{Constraint, NodeId, Space, of_trajectory};
 
-/// What the place that may be farthest off may be off against the first place that it is tied to: standard deviations of what was taken
-/// where scans told nothing.
+/// Standard deviation of the most uncertain place relative to the first place that it is tied to, from the
+/// motion that scans did not constrain.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Drift {
     /// Metres.
@@ -18,18 +19,19 @@ pub struct Drift {
     pub rotation: f64,
 }
 
-/// With larger standard deviations, metres and radians, places of the map are not known.
+/// Standard deviations above which places of the map count as unknown, metres and radians.
 const LARGE: Drift = Drift { translation: 1.0, rotation: 0.175 };
 
 impl Drift {
-    /// Whether parts of the map lie where odometry or a guess has them, and may as well lie elsewhere.
+    /// Whether parts of the map are only where odometry or a guess put them, and may as well be elsewhere.
     pub fn is_large(&self) -> bool {
         self.translation > LARGE.translation || self.rotation > LARGE.rotation
     }
 }
 
 impl<S: Space> PoseGraph<S> {
-    /// How far places may be off where only odometry, or nothing, told the way to them (2D); known after the final optimisation.
+    /// Drift of the map where only odometry, or nothing, measured the motion (2D); known after the final
+    /// optimisation.
     pub fn drift(&self) -> Drift {
         self.drift
     }
@@ -71,7 +73,7 @@ impl<S: Space> PoseGraph<S> {
         for constraint in self.state.constraints.iter().filter(|c| c.is_loop_closure()) {
             let nearest = self.nearest_of_submap(constraint).filter(|_| !self.is_tie_over_gap(constraint));
             if let Some((a, b)) = nearest.and_then(|id| index_of(&id)).zip(index_of(&constraint.node_id)) {
-                // One that leaves a direction open ties headings, but not places.
+                // One with a degenerate direction constrains headings, but not positions.
                 let translation = if constraint.open.is_some() { f64::INFINITY } else { 0.0 };
                 ways.add(a, b, translation, 0.0);
             }
@@ -88,7 +90,7 @@ impl<S: Space> PoseGraph<S> {
         self.is_tied_by_odometry(id) && is_before && is_first()
     }
 
-    /// The node of a submap that lies nearest to where a loop closure has its node.
+    /// The node of a submap that is nearest to the node of a loop closure.
     fn nearest_of_submap(&self, constraint: &Constraint) -> Option<NodeId> {
         let at = |id: &NodeId| Some(self.problem.nodes.get(id)?.map_from_node.translation.vector);
         let found = at(&constraint.node_id)?;
@@ -100,7 +102,7 @@ impl<S: Space> PoseGraph<S> {
     }
 }
 
-/// Variances on the way between two nodes.
+/// Variances of the relative pose of two nodes.
 #[derive(Clone, Copy, Debug)]
 struct Way {
     to: usize,
@@ -110,7 +112,7 @@ struct Way {
     rotation: f64,
 }
 
-/// Ways between nodes, which are counted from zero.
+/// Graph of paths between nodes, which are numbered from zero.
 struct Ways {
     from: Vec<Vec<Way>>,
 }
@@ -128,8 +130,8 @@ impl Ways {
         }
     }
 
-    /// The standard deviation of the node that is farthest off the first one that it is tied to, by the ways with the least
-    /// variance.
+    /// Largest standard deviation of a node relative to the first node that it is tied to, over the paths
+    /// with the least variance.
     fn farthest(&self, variance: impl Fn(&Way) -> f64) -> f64 {
         let mut is_reached = vec![false; self.from.len()];
         let mut farthest: f64 = 0.0;

@@ -1,5 +1,5 @@
-//! Finishing, freezing and deleting trajectories, and taking over what a file holds
-//! (`slam2d.md` §14.4, `formats.md` §2.2).
+//! Finishes, freezes and deletes trajectories, and loads the contents of a file (`slam2d.md` §14.4,
+//! `formats.md` §2.2).
 
 use std::sync::Arc;
 
@@ -13,7 +13,8 @@ use crate::{
 };
 use portolan_local_slam::OdometryBridge;
 
-/// A piece of map takes over measurements from so long before it, so that its first node lies between two of them.
+/// Time before the start of a piece of map from which it takes over measurements, so that its first node is
+/// between two of them.
 const BEFORE_PIECE: Duration = Duration::from_ticks(2_000_000);
 
 impl<S: Space> PoseGraph<S> {
@@ -43,8 +44,9 @@ impl<S: Space> PoseGraph<S> {
         true
     }
 
-    /// Ends a trajectory whose scanner was lost, and begins the one of what it saw then: drawn from where it was last
-    /// seen, but not connected with anything until enough matches agree where it lies.
+    /// Ends a trajectory at which the pose was lost, and begins a new one for the scans after it. The new one
+    /// is drawn from the last known pose on, but is not connected with anything until enough matches agree on
+    /// its pose.
     pub fn begin_piece(
         &mut self,
         ended: TrajectoryId,
@@ -98,8 +100,8 @@ impl<S: Space> PoseGraph<S> {
         self.problem.frozen.insert(id);
     }
 
-    /// Removes a trajectory that is not active any more; done at the next optimisation. Says whether
-    /// there is such a trajectory.
+    /// Removes a trajectory that is not active any more; done at the next optimisation. Returns whether there
+    /// is such a trajectory.
     pub fn delete_trajectory(&mut self, id: TrajectoryId) -> bool {
         match self.state.trajectories.get_mut(&id) {
             Some(t) if t.state != TrajectoryState::Active && t.state != TrajectoryState::Deleted => {
@@ -199,9 +201,9 @@ impl<S: Space> PoseGraph<S> {
         self.state.nodes.insert(id, Node { data, map_from_tracking });
     }
 
-    /// Takes over a constraint (in memory form) whose node and submap are loaded. Between frozen
-    /// trajectories it connects nothing and moves nothing; it is kept so that saving the map again loses
-    /// nothing. Says whether both ends exist.
+    /// Takes over a constraint (in memory form) whose node and submap are loaded. Between frozen trajectories
+    /// it connects nothing and moves nothing; it is kept so that saving the map again loses nothing. Returns
+    /// whether both ends exist.
     pub fn load_constraint(&mut self, constraint: Constraint) -> bool {
         if !self.state.nodes.contains_key(&constraint.node_id) {
             return false;
@@ -248,7 +250,7 @@ impl<S: Space> PoseGraph<S> {
         landmark.frozen = frozen;
     }
 
-    /// Sets where the fixed frame of a trajectory lies in the global map.
+    /// Sets the pose of the fixed frame of a trajectory in the global map.
     pub fn set_fixed_frame_origin(&mut self, id: TrajectoryId, map_from_fixed: Rigid3) {
         self.problem.fixed_frame_origins.insert(id, Some(map_from_fixed));
     }

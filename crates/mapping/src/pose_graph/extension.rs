@@ -1,4 +1,4 @@
-//! A recording that was localised in a map becomes a trajectory of this map.
+//! Adds a recording that was localised in a map to this map as a trajectory.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -13,15 +13,16 @@ use crate::{
     TrajectoryId, of_trajectory,
 };
 
-/// Submaps of fewer localised scans are left out: they show little, and hang by little.
+/// Minimum number of localised scans of a submap; submaps with fewer show little and are weakly constrained.
 const FEWEST_SCANS: usize = 10;
-/// A submap that cannot be drawn from some of its scans is taken as it is if this share of them was localised: it is rigid, and
-/// lies where they put it.
+/// Fraction of localised scans from which a submap is taken as it is if it cannot be drawn from some of its
+/// scans: it is rigid, and these scans determine its pose.
 const LEAST_PLACED: f64 = 0.5;
-/// Matches to the map that are nearer together than this, metres, see the same errors of it; one of them is enough.
+/// Minimum distance between matches to the map, metres. Nearer ones see the same errors of the map; one of
+/// them is enough.
 pub(super) const TIE_SPACING: f64 = 0.5;
 
-/// What a recording added to a map.
+/// Statistics of adding a recording to a map.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Extension {
     /// Nodes.
@@ -30,11 +31,11 @@ pub struct Extension {
     pub submaps: usize,
     /// Constraints to submaps that were there before.
     pub ties: usize,
-    /// Median distance of the nodes from where they were localised, metres, after optimisation.
+    /// Median distance of the nodes from their localised positions after optimisation, metres.
     pub median_correction: f64,
 }
 
-/// A submap of local SLAM as far as its scans were localised.
+/// A submap of local SLAM, restricted to its localised scans.
 struct Part<S: Space> {
     submap: Arc<S::Submap>,
     local_from_submap: Rigid3,
@@ -43,11 +44,12 @@ struct Part<S: Space> {
 }
 
 impl<S: Space> PoseGraph<S> {
-    /// Adds a recording as a trajectory: the nodes that were localised, with the submaps that they fill, tied to the submaps
-    /// of the map where they were found in it, and optimises. Frozen trajectories keep their poses. Nothing if no submap
-    /// was filled by localised scans.
+    /// Adds a recording as a trajectory: the localised nodes, with the submaps that they fill, tied to the
+    /// submaps of the map in which they were found; then optimises. Frozen trajectories keep their poses.
+    /// Adds nothing if no submap was filled by localised scans.
     ///
-    /// In 3D, and where scans are not kept, submaps are taken whole if half of their scans were localised, or not at all.
+    /// In 3D, and where scans are not kept, submaps are taken whole if at least half of their scans were
+    /// localised, or not at all.
     pub fn extend(&mut self, id: TrajectoryId, track: &LocalTrack<S>) -> Option<Extension> {
         let parts = parts(track);
         if parts.is_empty() || self.state.submaps.is_empty() {
@@ -76,8 +78,8 @@ impl<S: Space> PoseGraph<S> {
         Some(Extension { nodes: ids.len(), submaps: parts.len(), ties, median_correction })
     }
 
-    /// Nodes by their positions in the track. Indices skip one where nodes do not follow each other, so that nothing is
-    /// believed of the motion there.
+    /// Nodes by their positions in the track. Indices skip one where nodes are not consecutive, so that no
+    /// motion constraint is assumed there.
     fn load_tracked_nodes(
         &mut self,
         id: TrajectoryId,
@@ -142,7 +144,7 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    /// Constrains nodes that were found in the map to the submap there; how many.
+    /// Constrains nodes that were found in the map to the submap there; returns their number.
     fn tie_to(
         &mut self,
         old: &BTreeSet<SubmapId>,
@@ -189,7 +191,7 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    /// Keeps samples of the IMU between nodes that follow each other.
+    /// Adds IMU samples between consecutive nodes.
     fn load_tracked_imu(&mut self, id: TrajectoryId, track: &LocalTrack<S>) {
         let nodes: Vec<(u32, Time)> =
             of_trajectory(&self.problem.nodes, id).map(|(id, node)| (id.index, node.time)).collect();
@@ -211,7 +213,7 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    /// The trajectory lies in the map, whether anything ties it or not.
+    /// Connects the trajectory with the map, whether constraints tie it or not.
     fn connect_to(&mut self, id: TrajectoryId, old: &BTreeSet<SubmapId>) {
         let time = of_trajectory(&self.state.nodes, id).next().map(|(_, node)| node.data.time);
         if let (Some(first), Some(time)) = (old.first(), time) {
@@ -230,7 +232,7 @@ impl<S: Space> PoseGraph<S> {
     }
 }
 
-/// The submaps of a track as far as they are localised.
+/// The submaps of a track, restricted to localised scans.
 fn parts<S: Space>(track: &LocalTrack<S>) -> Vec<Part<S>> {
     let mut nodes_of: BTreeMap<(u32, u32), Vec<usize>> = BTreeMap::new();
     for (position, node) in track.nodes().iter().enumerate() {
@@ -265,7 +267,7 @@ fn part<S: Space>(track: &LocalTrack<S>, submap: &Arc<S::Submap>, all: &[usize])
     Some(Part { submap, local_from_submap, nodes })
 }
 
-/// Which submap of a map is nearest to a place: one of the node that was taken nearest to it.
+/// Finds the submap nearest to a place: the one whose node is nearest to it.
 pub(super) struct NearestSubmaps {
     places: Vec<(Rigid3, SubmapId)>,
 }

@@ -1,11 +1,12 @@
-//! Searching once more at the end.
+//! Searches for more loop closures at the end.
 //!
-//! While mapping, a fraction of the pairs of nodes and submaps is tried (`sampling_ratio`), small enough for
-//! long recordings. A short one leaves only a handful of loop closures that way, and its walls stay
-//! double where its two or three rounds disagree.
+//! While mapping, a fraction of the pairs of nodes and submaps is searched (`sampling_ratio`), small enough
+//! for long recordings. In a short recording that leaves only a handful of loop closures, and walls stay
+//! double where its two or three passes disagree.
 //!
-//! And a pair is tried where the map says that the node is when it is tried. Later loop closures move it: places that lie
-//! beside each other in the optimised map, with a long way between them, are tried again there.
+//! And a pair is searched around its relative pose at the time of the search. Later loop closures change it:
+//! places that are beside each other in the optimised map, with a long path between them, are searched again
+//! there.
 
 use std::collections::BTreeSet;
 
@@ -17,19 +18,22 @@ use super::policy::{LoopSearchPolicy, Spacing};
 use super::travel::{Lengths, TravelGraph};
 use crate::{MatchAcceptance, NodeId, Space, SubmapId};
 
-/// So often the optimised map is searched at most; each time because the time before found something.
+/// Maximum number of rounds of searching the optimised map; each further round requires that the one before
+/// found something.
 const MOST_ROUNDS: usize = 3;
-/// Each time at most this fraction of what was searched while mapping is searched.
+/// Maximum number of pairs searched in a round, as a fraction of those searched while mapping.
 const SHARE_OF_SEARCHES: f64 = 0.1;
-/// Places are tried again only if the way between them is so many metres: over less, more loop closures tell little.
+/// Minimum path length between places that are searched again, metres: over less, more loop closures add
+/// little.
 const LONG_WAY: f64 = 50.0;
-/// So much less than usual has to be explained there of a scan in 2D: one taken in the other direction sees sides of things that
-/// the submap does not know, which is no contradiction. What would bend the map is found by three nodes all the same.
+/// Factor on the minimum explained fraction of a scan at a known place in 2D. A scan taken in the other
+/// direction sees sides of things that the submap does not know, which is no contradiction. A loop closure
+/// that would bend the map still needs three nodes that agree.
 const EXPLAINED_OF_USUAL: f32 = 0.65;
 
 impl<S: Space> PoseGraph<S> {
     /// Schedules further pairs, evenly over all that are near enough and have no loop closure yet, until
-    /// as many as wanted have been tried.
+    /// `min_searches` of the policy is reached.
     pub(super) fn search_more(&mut self) {
         let missing = self.policy.min_searches.saturating_sub(self.search.counts().window_searched);
         if missing > 0 && !self.stop.is_asked() {
@@ -37,8 +41,8 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    /// Searches the optimised map for loop closures that were missed while it was not yet what it is, and optimises it with
-    /// them, until no more are found.
+    /// Searches the optimised map for loop closures that were missed at earlier, less accurate poses, and
+    /// optimises with them, until no more are found.
     pub(super) fn search_missed(&mut self) {
         if !self.searches_whole_maps() {
             return;
@@ -65,14 +69,14 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    /// What a match has to be like where the map says that the node lies.
+    /// Acceptance criteria for a match at the pose that the node has in the map.
     pub(super) fn acceptance_of_known_place(&self) -> MatchAcceptance {
         let usual = self.loop_search().acceptance;
         MatchAcceptance { min_explained: EXPLAINED_OF_USUAL * usual.min_explained, ..usual }
     }
 
-    /// Untied pairs that lie beside each other, with a long way between them; of each submap and trajectory one in
-    /// `spacing` metres of way.
+    /// Untied pairs that are beside each other, with a long path between them; of each submap and trajectory
+    /// one in `spacing` metres of path.
     fn distant_neighbours(&self, travel: &TravelGraph) -> Vec<(SubmapId, NodeId)> {
         let (mut spacing, mut lengths) = (Spacing::default(), Lengths::default());
         let mut of_submap: Option<SubmapId> = None;
@@ -90,7 +94,7 @@ impl<S: Space> PoseGraph<S> {
         pairs
     }
 
-    /// Schedules so many pairs, evenly.
+    /// Schedules at most `most` pairs, evenly sampled.
     fn schedule(&mut self, pairs: Vec<(SubmapId, NodeId)>, most: f64) {
         let share = (most / pairs.len().max(1) as f64).min(1.0);
         let Ok(mut sampler) = FixedRatioSampler::new(share) else { return };

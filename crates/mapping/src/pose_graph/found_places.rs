@@ -1,4 +1,4 @@
-//! Scans of a recording that were found in a known map by something else than the pose graph: what they tie.
+//! Ties scans of a recording to a known map in which something other than the pose graph localised them.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,21 +10,21 @@ use super::insertion::step_length;
 use super::places::{AROUND_PROPOSAL, Steps};
 use crate::{NodeId, Space, SubmapId, TrajectoryId};
 
-/// Where the tracking frame was in a known map when a scan was taken.
+/// Pose of the tracking frame in a known map when a scan was taken.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FoundPlace {
-    /// When the scan was taken.
+    /// Time of the scan.
     pub time: Time,
-    /// In the frame of the pose graph, as the known map lay when it was loaded.
+    /// In the frame of the pose graph, with the known map at its pose when it was loaded.
     pub map_from_tracking: Rigid3,
 }
 
-/// Known submaps in which something else than the pose graph finds nodes while they come.
+/// Known submaps in which something other than the pose graph localises nodes as they come.
 #[derive(Default)]
 pub(super) struct Tracked {
-    /// Where they lay when it began.
+    /// Their poses at the start.
     known: BTreeMap<SubmapId, Rigid3>,
-    /// How far along its trajectory the last node was that was looked for where it was found.
+    /// Distance along its trajectory of the last node that was searched at its localised pose, metres.
     last: Steps,
 }
 
@@ -43,14 +43,16 @@ struct Tie {
 }
 
 impl<S: Space> PoseGraph<S> {
-    /// While nodes come, something else finds them in these submaps, which lie at these poses, and tells where
-    /// ([`Self::look_where_found`], [`Self::tie_found`]). The whole map is searched only at the end, for what has no place then.
+    /// While nodes come, something other than the pose graph localises them in these submaps, which have
+    /// these poses, and reports their poses ([`Self::look_where_found`], [`Self::tie_found`]). The whole map
+    /// is searched only at the end, for trajectories without a place then.
     pub fn leave_to_tracker(&mut self, known: BTreeMap<SubmapId, Rigid3>) {
         self.tracked = Tracked { known, last: Steps::default() };
     }
 
-    /// Schedules the search for a node around where it was found in the known submaps, unless its part of the map is tied to them: the
-    /// matcher of submaps judges the place as if the pose graph had found it.
+    /// Schedules the search for a node around its localised pose in the known submaps, unless its part of the
+    /// map is tied to them. The matcher of submaps accepts or rejects the pose as if the pose graph had found
+    /// it.
     pub fn look_where_found(&mut self, place: &FoundPlace) {
         let newest_first = self.state.nodes.iter().rev();
         let mut not_older = newest_first.take_while(|(_, node)| node.data.time >= place.time);
@@ -69,8 +71,9 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    /// Ties nodes that were found in the known submaps ([`Self::leave_to_tracker`]) to the nearest of them, one in half a metre of way.
-    /// A part of the map that nothing ties to the known ones yet is put there. How many ties there are.
+    /// Ties nodes that were localised in the known submaps ([`Self::leave_to_tracker`]) to the nearest of
+    /// these, one per half a metre of path. A part of the map that nothing ties to the known ones yet is
+    /// moved there. Returns the number of ties.
     pub fn tie_found(&mut self, places: &[FoundPlace]) -> usize {
         let ties = self.ties_of(places);
         for tie in &ties {
@@ -104,7 +107,7 @@ impl<S: Space> PoseGraph<S> {
         NearestSubmaps::new(self, &self.tracked.known.keys().copied().collect())
     }
 
-    /// What ties a node to the nearest known submap.
+    /// The tie between a node and the nearest known submap.
     fn tie_of(&self, node_id: NodeId, place: &FoundPlace, nearest: &NearestSubmaps) -> Option<Tie> {
         let submap_id = nearest.find(&place.map_from_tracking)?;
         let map_from_submap = self.tracked.known.get(&submap_id)?;
@@ -113,7 +116,7 @@ impl<S: Space> PoseGraph<S> {
         Some(Tie { node_id, submap_id, submap_from_node: map_from_submap.inverse() * map_from_node })
     }
 
-    /// Moves the part of the map that a node belongs to, if it has no place in the known one yet.
+    /// Moves the part of the map that a node belongs to, if it is not connected with the known one yet.
     fn put_where_found(&mut self, tie: &Tie) {
         let part = tie.node_id.trajectory_id;
         if self.state.connectivity.are_connected(part, tie.submap_id.trajectory_id) {
@@ -142,7 +145,7 @@ mod tests {
 
     const ROOM: (f32, f32) = (9.0, 7.0);
 
-    /// Adds a node that was taken after so many seconds, with a complete submap of the room.
+    /// Adds a node taken at this time, with a complete submap of the room.
     fn add(graph: &mut PoseGraph<Space2d>, id: TrajectoryId, seconds: f64) {
         let data = NodeData { time: Time::from_unix_seconds(seconds), ..node(ROOM, (0.5, 0.2)) };
         let finished = Some(Arc::new(submap(ROOM)));

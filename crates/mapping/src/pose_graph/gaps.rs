@@ -1,10 +1,11 @@
-//! Trajectories that go on after a gap over which odometry alone measured the motion: there were no scans, or they contradicted the
-//! map.
+//! Trajectories that continue after a gap in which only odometry measured the motion: there were no scans, or
+//! they contradicted the map.
 //!
-//! It may have failed then, and nothing shows it: so the parts before and after a gap are apart until scans agree how they
-//! lie. Where none do, odometry ties them at the end, as loosely as it is known to measure. Where scans contradicted the map the
-//! scanner may have been carried elsewhere, and the part after it is looked for everywhere. But wheels roll seldom while a robot
-//! is carried: matches that agree with odometry, and with each other, are believed before any others.
+//! Odometry may have failed in the gap without any sign of it. So the parts before and after a gap stay
+//! unconnected until scans agree on their relative pose. Where none do, odometry ties them at the end,
+//! weighted by its known uncertainty. Where scans contradicted the map, the scanner may have been carried
+//! elsewhere, and the part after the gap is searched everywhere. But wheels seldom roll while a robot is
+//! carried: matches that agree with odometry, and with each other, are accepted before any others.
 
 use std::collections::BTreeSet;
 
@@ -16,7 +17,7 @@ use super::travel::TravelGraph;
 use crate::{Constraint, ConstraintTag, Space, TrajectoryId, of_trajectory};
 
 impl<S: Space> PoseGraph<S> {
-    /// Whether nothing but odometry tells how a part of the map lies that goes on after a gap.
+    /// Whether odometry alone constrains the part of the map that continues after a gap.
     pub fn is_tied_by_odometry(&self, id: TrajectoryId) -> bool {
         self.tied_by_odometry.contains(&id)
     }
@@ -26,7 +27,7 @@ impl<S: Space> PoseGraph<S> {
         self.first_before_gaps(a) == self.first_before_gaps(b)
     }
 
-    /// The trajectories that one is connected with, and that those go on with after gaps.
+    /// The trajectories that a trajectory is connected with, and those that continue these after gaps.
     pub(super) fn parts_beyond_gaps(&self, id: TrajectoryId) -> BTreeSet<TrajectoryId> {
         let beyond = self.state.trajectories.keys().filter(|other| self.is_beyond_gap(id, **other));
         let connected = self.state.connectivity.members(id);
@@ -41,8 +42,8 @@ impl<S: Space> PoseGraph<S> {
         id
     }
 
-    /// Whether a match places a part of the map, which goes on where scans had contradicted the map, about where odometry says: as
-    /// far off as odometry and the ways to what was matched explain.
+    /// Whether a match agrees with odometry for a part of the map that continues after scans had contradicted
+    /// the map: within the errors of odometry and of the paths to the matched node and submap.
     pub(super) fn is_where_odometry_says(&self, constraint: &Constraint) -> bool {
         if self.policy.loops.drift == 0.0 {
             return false;
@@ -58,7 +59,7 @@ impl<S: Space> PoseGraph<S> {
         })
     }
 
-    /// None where the match does not relate what was before the gap with what was after it.
+    /// None if the match does not relate the map before the gap to the map after it.
     fn is_near_odometry(
         &self,
         constraint: &Constraint,
@@ -90,7 +91,7 @@ impl<S: Space> PoseGraph<S> {
         Some(error.translation.vector.norm() <= window.linear && rotation_angle(&error) <= window.angular)
     }
 
-    /// Ties trajectories to those before their gaps that nothing else ties to them.
+    /// Ties trajectories to the ones before their gaps by odometry, where nothing else ties them.
     pub(super) fn tie_over_gaps(&mut self) {
         let ids: BTreeSet<TrajectoryId> = self.state.trajectories.keys().copied().collect();
         for id in ids {
@@ -100,7 +101,7 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    /// What odometry says of the first node after a gap; none where something else ties it.
+    /// Odometry constraint for the first node after a gap; none where something else ties it.
     fn tie_over_gap(&self, id: TrajectoryId) -> Option<Constraint> {
         let gap = self.state.trajectories.get(&id)?.after_gap?;
         let is_tied = self.state.connectivity.are_connected(id, gap.before);
@@ -185,8 +186,8 @@ mod tests {
         assert!((at.x - 21.0).abs() < 1e-3 && (at.y - 0.1).abs() < 0.02, "{at}");
     }
 
-    /// Three nodes say that the part after a gap lies where odometry says, two metres beside it, and three more that it lies
-    /// elsewhere: returns whether any are believed.
+    /// Three nodes place the part after a gap where odometry predicts it, two metres beside it, and three
+    /// more place it elsewhere: returns whether any are accepted.
     fn is_odometry_believed(is_contradicted: bool) -> bool {
         let options = Options::for_2d().map_builder.pose_graph;
         let mut graph = PoseGraph::<Space2d>::new(options);

@@ -1,8 +1,9 @@
-//! Starts in a known map that somebody told: witnesses that can be wrong.
+//! Verifies starts in a known map that the user gave: they can be wrong.
 //!
-//! A trajectory with such a start lies there, loosely, and is searched there. In the end its scans are compared with the known map:
-//! if they confirm the place, the start is let go; else the trajectory is looked for in the whole known map, and what is found there is
-//! believed if scans confirm it. Whatever loses a place that scans confirm is undone.
+//! Such a start constrains the trajectory weakly, and the trajectory is searched there. At the end its scans
+//! are compared with the known map. If they confirm the place, the constraint is removed. Otherwise the
+//! trajectory is searched in the whole known map, and a pose found there is accepted if scans confirm it. A
+//! change that loses a confirmed place is undone.
 
 use std::collections::BTreeSet;
 
@@ -12,12 +13,12 @@ use portolan_optimization::{OptimizationData, TrajectoryConnectivity};
 use super::PoseGraph;
 use crate::{Space, TrajectoryId, of_trajectory};
 
-/// Starts are told no better than this, metres and radians.
+/// Maximum error of a correct start, metres and radians: users do not give them more accurately.
 const RIGHT: (f64, f64) = (0.5, 0.1);
 
 impl<S: Space> PoseGraph<S> {
-    /// How far from where somebody said that a trajectory starts it was found, metres and radians; none where its scans fit there, or
-    /// nowhere better.
+    /// Distance between the given and the found start of a trajectory, metres and radians; none where its
+    /// scans fit the given start, or nothing better was found.
     pub fn error_of_given_start(&self, id: TrajectoryId) -> Option<(f64, f64)> {
         self.refuted_starts.get(&id).copied()
     }
@@ -34,7 +35,7 @@ impl<S: Space> PoseGraph<S> {
     }
 
     fn doubt_given_start(&mut self, id: TrajectoryId) {
-        // Pieces that the trajectory fell into have later numbers, and lie where it lies.
+        // Pieces into which the trajectory was split have later numbers, and belong to the same start.
         let new: BTreeSet<TrajectoryId> =
             self.state.trajectories.keys().copied().filter(|other| *other >= id).collect();
         if self.stop.is_asked() {
@@ -44,7 +45,7 @@ impl<S: Space> PoseGraph<S> {
         let (waiting, placed_at) = (self.waiting.clone(), self.localisation.placed_at);
         let is_confirmed = |graph: &Self| graph.consistency_with_others(&new).is_confirmed();
         if is_confirmed(self) {
-            // It has done its work, and would go on pulling.
+            // It is not needed any more, and would bias the result.
             self.problem.given_starts.retain(|node_id, _| !new.contains(&node_id.trajectory_id));
             self.run_optimization();
         } else {
@@ -58,7 +59,7 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    /// Looks for a trajectory in the whole rest of the map.
+    /// Searches a trajectory in the whole rest of the map.
     fn look_elsewhere(&mut self, id: TrajectoryId, new: &BTreeSet<TrajectoryId>) {
         self.forget_ties_of(new);
         self.places.save_for(self.state.nodes.len());
@@ -83,7 +84,7 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    /// Leaves trajectories without a place in the rest of the map.
+    /// Removes the constraints between these trajectories and the rest of the map.
     pub(super) fn forget_ties_of(&mut self, new: &BTreeSet<TrajectoryId>) {
         self.problem.given_starts.retain(|node_id, _| !new.contains(&node_id.trajectory_id));
         self.state.constraints.retain(|constraint| {

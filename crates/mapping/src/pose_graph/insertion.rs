@@ -1,5 +1,5 @@
-//! How what local SLAM hands to the pose graph enters it: nodes and submaps get their identity and a first pose, and
-//! are tied to each other (`slam2d.md` §14.3).
+//! Inserts the results of local SLAM into the pose graph: nodes and submaps get their identity and a first
+//! pose, and constraints between them (`slam2d.md` §14.3).
 
 use std::sync::Arc;
 
@@ -12,8 +12,9 @@ use crate::{
     Constraint, ConstraintTag, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId, of_trajectory,
 };
 
-/// Nodes this far apart at most, metres and radians, and at least so many seconds, were measured standing.
+/// Maximum motion between two nodes of a platform at rest, metres and radians.
 const STANDING: (f64, f64) = (0.005, 0.003);
+/// Minimum time between two nodes at rest whose IMU samples are averaged, seconds.
 const LONG_REST: f64 = 1.5;
 
 impl<S: Space> PoseGraph<S> {
@@ -28,7 +29,7 @@ impl<S: Space> PoseGraph<S> {
         node_id
     }
 
-    /// How far a new node is along its trajectory.
+    /// Distance of a new node along its trajectory, metres.
     fn way_to(&self, node_id: NodeId, local_from_tracking: &Rigid3) -> f64 {
         let Some((before_id, before)) = of_trajectory(&self.state.nodes, node_id.trajectory_id).next_back()
         else {
@@ -70,7 +71,7 @@ impl<S: Space> PoseGraph<S> {
         ids
     }
 
-    /// Puts the node where its oldest submap says, and constrains it to each of its submaps.
+    /// Gives the node the pose that follows from its oldest submap, and constrains it to each of its submaps.
     pub(super) fn place_node(
         &mut self,
         node_id: NodeId,
@@ -115,13 +116,14 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    /// Whether a start that somebody told ties the trajectory: where it is doubted, too. Cartographer only begins there.
+    /// Whether a start given by the user constrains the trajectory. It does where it is verified, too.
+    /// Cartographer only begins there.
     fn starts_where_given(&self, id: TrajectoryId) -> bool {
         self.searches_whole_maps()
             && self.state.trajectories.get(&id).is_some_and(|trajectory| trajectory.initial_pose.is_some())
     }
 
-    /// Averages what the IMU measured since the node before if it stood all the time.
+    /// Averages the IMU samples since the node before if the platform was at rest all the time.
     fn thin_out_rest(&mut self, node_id: NodeId, time: Time, local_from_node: &Rigid3) {
         let Some((_, before)) = of_trajectory(&self.problem.nodes, node_id.trajectory_id).next_back() else {
             return;
@@ -135,7 +137,8 @@ impl<S: Space> PoseGraph<S> {
     }
 }
 
-/// What a motion from one node to the next counts, metres. Turning shows new sides of a place as moving does.
+/// Path length of a motion from one node to the next, metres. Rotation shows new sides of a place as
+/// translation does, and counts, too.
 pub(super) fn step_length(motion: &Rigid3) -> f64 {
     const METRES_PER_RADIAN: f64 = 1.0;
     motion.translation.vector.norm() + METRES_PER_RADIAN * motion.rotation.angle()

@@ -1,4 +1,4 @@
-//! Loaded trajectories looked for in others that are loaded, too: how maps are merged.
+//! Merges maps: searches loaded trajectories in other loaded trajectories.
 
 use std::collections::BTreeSet;
 
@@ -8,25 +8,27 @@ use super::PoseGraph;
 use super::policy::{GOLDEN, LoopSearchPolicy};
 use crate::{NodeId, Space, SubmapId, TrajectoryId, of_trajectory};
 
-/// So many nodes of a trajectory are searched in whole submaps before looking whether enough matches agree, and in
-/// all.
+/// Number of nodes of a trajectory that are searched in whole submaps before the matches are checked for
+/// agreement.
 const NODES_A_ROUND: usize = 8;
+/// Maximum number of nodes of a trajectory that are searched in whole submaps.
 const MOST_NODES: usize = 64;
-/// Where whole maps are searched, a piece is given up when so many of its nodes, evenly spread, were found nowhere.
-/// Assumed: a piece is worth tying if a quarter of it or more lies in the rest, and a node there is found at least every
-/// second time. Then all of them miss by chance in 4 of 100 such pieces, (1 − 1/8)^24; in 1 of 1000 if half of the piece
-/// lies there.
+/// Number of nodes, evenly spread, after which a piece is given up if none was found, where whole maps are
+/// searched. Assumed: a piece is worth connecting if at least a quarter of it is in the rest, and a node
+/// there is found at least every second time. Then all nodes miss by chance in 4 of 100 such pieces, (1 −
+/// 1/8)^24; in 1 of 1000 if half of the piece is in the rest.
 const HOPELESS_NODES: usize = 24;
-/// Pairs that are tried around their guess once a trajectory has its place, so often at most.
+/// Maximum number of pairs that are matched around their guess in a round, once a trajectory has its place.
 const MOST_PAIRS: usize = 3000;
+/// Maximum number of such rounds.
 const MOST_ROUNDS: usize = 6;
-/// Nodes closer together than this along their way tell the same, metres.
+/// Minimum distance between nodes along the trajectory, metres; nodes closer together are redundant.
 const LEAST_SPACING: f64 = 1.0;
 
 impl<S: Space> PoseGraph<S> {
-    /// Looks for each of these trajectories in the rest of the graph, moves it where matches agree that it lies,
-    /// closes loops in both directions, and optimises. The trajectories that were not found are returned; then
-    /// nothing is optimised.
+    /// Searches each of these trajectories in the rest of the graph, moves it to the pose on which matches
+    /// agree, closes loops in both directions, and optimises. Returns the trajectories that were not found;
+    /// if there are any, nothing is optimised.
     pub fn join(&mut self, joining: &BTreeSet<TrajectoryId>) -> BTreeSet<TrajectoryId> {
         let all: Vec<TrajectoryId> = self.state.trajectories.keys().copied().collect();
         all.into_iter().for_each(|id| self.measure_way(id));
@@ -44,8 +46,8 @@ impl<S: Space> PoseGraph<S> {
         lost
     }
 
-    /// Looks for pieces of map, and recordings, that have no place in the rest yet, with scans from all over each: for the largest
-    /// first, and as long as searches may take in all.
+    /// Searches pieces of map, and recordings, that are not connected with the rest yet, with scans from all
+    /// over each. The largest comes first. Searching ends when the budget for searches is used up.
     pub(super) fn place_pieces(&mut self) {
         let mut looked_for = self.pieces.clone();
         looked_for.extend(self.places.looked_for());
@@ -60,14 +62,14 @@ impl<S: Space> PoseGraph<S> {
                 self.place(id, &part);
             }
         }
-        // Before parts were put together nobody looked for what lies beside each other now.
+        // Pairs that only became neighbours when parts were connected have not been searched yet.
         let placed = std::mem::take(&mut self.placed_parts);
         if !placed.is_empty() {
             self.close_loops_with(&placed);
         }
     }
 
-    /// How far nodes are along their trajectory: files do not keep it.
+    /// Computes the distance of nodes along their trajectory: files do not keep it.
     fn measure_way(&mut self, id: TrajectoryId) {
         let mut way = 0.0;
         let mut before: Option<portolan_geometry::Rigid3> = None;
@@ -84,7 +86,8 @@ impl<S: Space> PoseGraph<S> {
         members.iter().any(|member| !joining.contains(member))
     }
 
-    /// Searches nodes of a trajectory, from all over it, in whole submaps of the rest until they agree.
+    /// Searches nodes of a trajectory, spread over all of it, in whole submaps of the rest until enough
+    /// matches agree.
     pub(super) fn place(&mut self, id: TrajectoryId, joining: &BTreeSet<TrajectoryId>) {
         let nodes: Vec<NodeId> = of_trajectory(&self.state.nodes, id).map(|(id, _)| id).collect();
         let mut seen = BTreeSet::new();
@@ -131,8 +134,9 @@ impl<S: Space> PoseGraph<S> {
         complete.flat_map(|(submap_id, _)| nodes.iter().map(|node_id| (*submap_id, *node_id))).collect()
     }
 
-    /// Closes loops of these trajectories with all others: optimises, tries what lies near each other then, and again as long as that
-    /// finds more. Far from where they were tied first they lie as far off as both have drifted, and come within reach step by step.
+    /// Closes loops of these trajectories with all others: optimises, searches pairs that are near each other
+    /// then, and repeats as long as that finds more. Far from their first constraint the trajectories are off
+    /// by the drift of both, and come within reach step by step.
     pub(super) fn close_loops_with(&mut self, joining: &BTreeSet<TrajectoryId>) {
         for _ in 0..MOST_ROUNDS {
             if self.stop.is_asked() {
@@ -147,7 +151,7 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    /// Tries pairs of either side that are near each other now.
+    /// Matches pairs of a node of one side and a submap of the other that are near each other now.
     fn try_pairs_with(&mut self, joining: &BTreeSet<TrajectoryId>) {
         let tied = self.tied_pairs();
         let (new, old): (Vec<NodeId>, Vec<NodeId>) =
@@ -165,7 +169,8 @@ impl<S: Space> PoseGraph<S> {
         let near: Vec<_> = with_guess.collect();
         let share = (MOST_PAIRS as f64 / near.len().max(1) as f64).min(1.0);
         let Ok(mut sampler) = FixedRatioSampler::new(share) else { return };
-        // Every pair tells something of how the two lie, however short the path over others is.
+        // Every pair constrains the relative pose of the two sides, however short the path over other
+        // constraints is.
         self.search.set_policy(LoopSearchPolicy { spacing: 0.0, ..self.loop_search() });
         for (submap_id, node_id, guess) in near.into_iter().filter(|_| sampler.pulse()) {
             if let Some((submap, node)) = self.state.pair(submap_id, node_id) {
@@ -178,7 +183,7 @@ impl<S: Space> PoseGraph<S> {
         self.add_found(found);
     }
 
-    /// Nodes that are some way from the one before.
+    /// Nodes at least a minimum distance along the trajectory from the one before.
     fn spaced_nodes(&self) -> Vec<NodeId> {
         let spacing = self.policy.loops.spacing.max(LEAST_SPACING);
         let mut last: Option<(TrajectoryId, f64)> = None;
@@ -207,7 +212,7 @@ mod tests {
 
     const ROOM: (f32, f32) = (9.0, 7.0);
 
-    /// A graph of so many pieces without a place, each of which saw the same room.
+    /// A graph of `pieces` unconnected pieces, each of which saw the same room.
     fn lost_again_and_again(pieces: u32) -> PoseGraph<Space2d> {
         let options = Options::for_2d();
         let mut graph = PoseGraph::<Space2d>::new(options.map_builder.pose_graph.clone());

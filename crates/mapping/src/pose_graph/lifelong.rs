@@ -1,9 +1,10 @@
-//! A graph that is bounded by the area that it maps, not by the time that mapping takes.
+//! Lifelong mapping: bounds the graph by the mapped area, not by the time of mapping.
 //!
-//! Of each place the first submap that knew it stays, which holds the map where it is, and so many of the newest, which show
-//! it as it is now. Submaps of which little is left then go, with the nodes that belong to no other one, their constraints
-//! and what was measured between them. What they had measured of those that stay is summarised (`summary_ties.rs`). Where the nodes were is
-//! kept relative to nodes that stay ([`TrimmedNodes`](super::TrimmedNodes)).
+//! Of each place the first submap that knew it stays, which anchors the map, and a given number of the
+//! newest, which show it as it is now. Submaps of which little then remains visible are removed, with the
+//! nodes that belong to no other one, their constraints and the measurements between them. Their information
+//! on the submaps that stay is summarised (`summary_ties.rs`). The poses of removed nodes are kept relative
+//! to nodes that stay ([`TrimmedNodes`](super::TrimmedNodes)).
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::f64::consts::FRAC_PI_2;
@@ -16,21 +17,21 @@ use super::visible_cells::VisibleCells;
 use super::{PoseGraph, TrajectoryState};
 use crate::{Space, SubmapId, TrajectoryId};
 
-/// What is covered is looked for after so many new submaps.
+/// Number of new submaps after which covered ones are looked for.
 const AT_ONCE: usize = 4;
-/// A submap goes if less than this fraction of its cells counts for it …
+/// Fraction of visible cells below which a submap is removed.
 const LEAST_SEEN: f64 = 0.1;
-/// … unless it alone knows more than this fraction.
+/// Fraction of cells known to a submap alone above which it stays all the same.
 const MOST_ALONE: f64 = 0.005;
-/// Edge of a cell, metres: of known area in 2D, of places from where it was measured in 3D, where every heading of a quarter
-/// turn is a cell of its own.
+/// Edge of a cell of known area in 2D, metres.
 const AREA: f64 = 0.5;
+/// Edge of a cell of scan positions in 3D, metres; each heading quadrant is a cell of its own.
 const PLACE: f64 = 2.0;
 
-/// Along x, y and z, and the quarter of the compass.
+/// Indices along x, y and z, and the heading quadrant.
 type Cell = [i32; 4];
 
-/// A submap that may go, and what it knows.
+/// A complete submap and the cells that it knows.
 struct Known {
     id: SubmapId,
     newest_node: Time,
@@ -39,7 +40,7 @@ struct Known {
 }
 
 impl Known {
-    /// Its cells and those beside them: outlines and ways are never quite the same again.
+    /// Its cells and those beside them: outlines and paths are never quite the same again.
     fn around(&self) -> BTreeSet<Cell> {
         let beside = |[x, y, z, heading]: Cell| {
             (-1..=1).flat_map(move |i| (-1..=1).map(move |j| [x + i, y + j, z, heading]))
@@ -49,7 +50,7 @@ impl Known {
 }
 
 impl<S: Space> PoseGraph<S> {
-    /// Drops the submaps that others cover, if that is wanted and there are enough new ones.
+    /// Drops the submaps that others cover, if the policy says so and there are enough new ones.
     pub(super) fn drop_covered(&mut self) {
         let newest = self.policy.submaps_per_place;
         if newest == 0 || self.complete_submaps() < self.complete_after_dropping + AT_ONCE {
@@ -104,7 +105,7 @@ impl<S: Space> PoseGraph<S> {
         covered
     }
 
-    /// What a complete submap knows; none before it was optimised.
+    /// The cells of a complete submap; none before it was optimised.
     fn known(&self, id: SubmapId) -> Option<Known> {
         let entry = self.state.submaps.get(&id).filter(|s| s.insertion_finished && s.searchable)?;
         let newest_node = self.state.time_of_last_node(entry).unwrap_or(Time::MIN);
@@ -124,7 +125,7 @@ impl<S: Space> PoseGraph<S> {
         Some(centers.iter().map(cell).collect())
     }
 
-    /// The cells of the map from where a submap was measured.
+    /// The cells of the map in which the scans of a submap were taken.
     fn cells_of_places(&self, id: SubmapId) -> Option<BTreeSet<Cell>> {
         self.state.optimized_submaps.get(&id)?;
         let nodes = self.state.submaps.get(&id)?.node_ids.iter().filter_map(|id| self.problem.nodes.get(id));
@@ -135,7 +136,7 @@ impl<S: Space> PoseGraph<S> {
         Some(nodes.map(cell).collect())
     }
 
-    /// Landmarks that were seen between nodes that are gone tell nothing any more.
+    /// Removes landmark sightings between nodes that were removed: they constrain nothing any more.
     fn forget_lonely_sightings(&mut self) {
         let nodes = &self.state.nodes;
         let mut spans: BTreeMap<TrajectoryId, Vec<(Time, Time)>> = BTreeMap::new();

@@ -1,12 +1,12 @@
-//! Finding a trajectory in a map that it is not connected with yet, while it is being recorded: what was proposed is tried as soon as
-//! nodes come, not only before optimisations.
+//! Localises a trajectory, while it is being recorded, in a map that it is not connected with yet: proposals
+//! are matched as nodes come, not only before optimisations.
 
 use portolan_geometry::{Duration, Time};
 
 use super::PoseGraph;
 use crate::{NodeId, Space};
 
-/// Searches wait for each other at most this long, so that several run at the same time.
+/// Maximum time that searches are collected, so that several run at the same time.
 const PATIENCE: Duration = Duration::from_ticks(5_000_000);
 
 /// When a trajectory without a place is searched.
@@ -14,7 +14,7 @@ const PATIENCE: Duration = Duration::from_ticks(5_000_000);
 pub(super) struct Localisation {
     is_wanted: bool,
     last_search: Option<Time>,
-    /// Time of the newest node when a part of the map was first put where it lies in another one.
+    /// Time of the newest node when a part of the map was first moved to its place in another one.
     pub placed_at: Option<Time>,
 }
 
@@ -30,7 +30,7 @@ impl<S: Space> PoseGraph<S> {
         self.localisation.placed_at
     }
 
-    /// Looks for nodes without a guess if they have waited for long enough; optimises if that ties parts together.
+    /// Searches nodes without a guess if they have waited for long enough; optimises if that connects parts.
     pub(super) fn localise(&mut self, newest: NodeId) {
         let Some(time) = self.problem.nodes.get(&newest).map(|node| node.time) else { return };
         let waited = self.localisation.last_search.map_or(PATIENCE, |last| time - last);

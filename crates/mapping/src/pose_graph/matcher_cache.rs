@@ -1,4 +1,4 @@
-//! What searching a submap takes long to make, kept for the next search.
+//! Caches the matchers of submaps, which are expensive to build, for the next search.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -7,7 +7,7 @@ use portolan_config::ConstraintBuilderOptions;
 
 use crate::{Space, SubmapId};
 
-/// The most recently used matchers. What it holds decides only how long a search takes.
+/// The most recently used matchers. The contents affect only the time of a search, not its result.
 pub(super) struct MatcherCache<S: Space> {
     kept: Mutex<KeptMatchers<S>>,
 }
@@ -28,7 +28,7 @@ impl<S: Space> MatcherCache<S> {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The matcher of a submap, made if there is none.
+    /// The matcher of a submap, built if there is none.
     pub fn get_or_build(
         &self,
         id: SubmapId,

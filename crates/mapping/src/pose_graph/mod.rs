@@ -1,9 +1,8 @@
 //! The pose graph: nodes and submaps joined by constraints, optimised now and then
 //! (`slam2d.md` §14). One for 2D and 3D.
 //!
-//! Everything here happens in the order in which it is asked for, so that results do not depend on
-//! threads: searching runs in parallel inside [`PoseGraph::add_node`] at the moments when an
-//! optimisation is due.
+//! Everything happens in the order of the calls, so that results do not depend on threads: searching runs in
+//! parallel inside [`PoseGraph::add_node`] at the moments when an optimisation is due.
 
 mod agreement;
 mod consistency;
@@ -78,7 +77,7 @@ use crate::remembered::Remembered;
 use crate::stop::Stop;
 use crate::{Constraint, ConstraintTag, GatheredVariance, NodeId, Space, SubmapId, TrajectoryId};
 
-/// So many scans of a submap say how scans agree with the map.
+/// Number of scans of a submap from which the usual agreement of scans with the map is learnt.
 const OWN_SCANS: usize = 8;
 
 /// The pose graph.
@@ -92,26 +91,27 @@ pub struct PoseGraph<S: Space> {
     tracked: Tracked,
     usual_agreement: UsualAgreement,
     trimmers: Vec<Trimmer>,
-    /// How many submaps were complete when covered ones were dropped.
+    /// Number of complete submaps when covered ones were dropped last.
     complete_after_dropping: usize,
     summaries: SummaryTies,
     nodes_since_optimization: i64,
     policy: PoseGraphPolicy,
-    /// How far nodes are along their trajectories, metres.
+    /// Distance of nodes along their trajectories, metres.
     ways: BTreeMap<NodeId, f64>,
-    /// How far the nodes of complete submaps are from their origins at most, metres.
+    /// Largest distance of the nodes of complete submaps from the submap origin, metres.
     extents: BTreeMap<SubmapId, f64>,
-    /// What had gathered at nodes where scans left the way or the heading open.
+    /// Variance accumulated up to each node where scans did not constrain the position or the heading.
     gathered: BTreeMap<NodeId, GatheredVariance>,
     open_nodes: OpenNodes,
     contradicted: u64,
-    /// Trajectories that began where a scanner was lost, without a place in the rest.
+    /// Trajectories that began after local SLAM lost its pose, without a place in the rest.
     pieces: BTreeSet<TrajectoryId>,
-    /// Those of them that only odometry ties to the trajectory before a gap.
+    /// Those of `pieces` that only odometry ties to the trajectory before a gap.
     tied_by_odometry: BTreeSet<TrajectoryId>,
-    /// Trajectories whose scans fit elsewhere than where somebody said that they start: how far off, metres and radians.
+    /// Trajectories whose scans contradict the start given by the user: distance between the given and the
+    /// found start, metres and radians.
     refuted_starts: BTreeMap<TrajectoryId, (f64, f64)>,
-    /// Trajectories that were put where they lie in the rest of the map.
+    /// Trajectories that were moved to their place in the rest of the map.
     placed_parts: BTreeSet<TrajectoryId>,
     waiting: WaitingMatches,
     localisation: Localisation,
@@ -120,7 +120,7 @@ pub struct PoseGraph<S: Space> {
     optimizations: u64,
     last_summary: OptimizationSummary,
     remembered: Remembered,
-    /// Once somebody wants the map as it is, no more is searched and drawn.
+    /// Once it is requested, nothing more is searched and redrawn.
     stop: Stop,
 }
 
@@ -165,7 +165,7 @@ impl<S: Space> PoseGraph<S> {
         graph
     }
 
-    /// The wish to have the map as it is.
+    /// The request to finish at once with the map as it is.
     pub(crate) fn stop(&self) -> &Stop {
         &self.stop
     }
@@ -185,12 +185,12 @@ impl<S: Space> PoseGraph<S> {
         self.search.counts()
     }
 
-    /// How often it was optimised, and how the last time went.
+    /// Number of optimisations, and the result of the last one.
     pub fn optimizations(&self) -> (u64, OptimizationSummary) {
         (self.optimizations, self.last_summary)
     }
 
-    /// What is done beyond what Cartographer does. To be set before anything is added.
+    /// Sets the options that Cartographer does not have. To be called before anything is added.
     pub fn set_policy(&mut self, policy: PoseGraphPolicy) {
         self.problem.sensor_policy = policy.sensors;
         self.localisation.set_wanted(policy.localises_while_recording && S::DIMENSION == Dimension::ThreeD);
@@ -198,12 +198,13 @@ impl<S: Space> PoseGraph<S> {
         self.search.set_policy(self.loop_search());
     }
 
-    /// Remembers what searches and optimisations find with this. To be set before anything is added.
+    /// Caches the results of searches and optimisations in this memory. To be called before anything is
+    /// added.
     pub fn remember_with(&mut self, memory: Memory) {
         self.remembered = Remembered::new(memory);
     }
 
-    /// Makes a trajectory known, and where it starts if that is known.
+    /// Registers a trajectory, with its initial pose if that is known.
     pub fn add_trajectory(&mut self, id: TrajectoryId, initial_pose: Option<InitialTrajectoryPose>) {
         let reference = initial_pose.as_ref().map(|p| (p.to_trajectory_id, p.time));
         self.state.trajectory_mut(id).initial_pose = initial_pose;
@@ -212,7 +213,7 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    /// Adds a node, relates it to its submaps, looks for it in finished submaps and, when it is time,
+    /// Adds a node, constrains it to its submaps, searches it in finished submaps and, when it is due,
     /// optimises.
     pub fn add_node(&mut self, trajectory_id: TrajectoryId, inserted: InsertedNode<S>) -> NodeId {
         self.remembered.note_node(trajectory_id, &inserted);
@@ -244,14 +245,15 @@ impl<S: Space> PoseGraph<S> {
         node_id
     }
 
-    /// How far and how often is searched, and which matches are believed after what was seen so far.
+    /// Search windows, search rate, and acceptance criteria adapted to the agreement seen so far.
     fn loop_search(&self) -> LoopSearchPolicy {
         let loops = self.policy.loops;
         let wanted = S::wanted_acceptance(loops.acceptance, &self.options.constraint_builder);
         LoopSearchPolicy { acceptance: self.usual_agreement.acceptance(wanted), ..loops }
     }
 
-    /// Learns from a complete submap how scans agree with the map where they were taken, where local SLAM does not tell.
+    /// Learns from a complete submap how well its own scans agree with it, where local SLAM does not report
+    /// it.
     fn note_own_agreement(&mut self, id: SubmapId) {
         let Some((entry, submap)) = self.state.submaps.get(&id).and_then(|e| Some((e, e.submap.as_ref()?)))
         else {
@@ -276,8 +278,7 @@ impl<S: Space> PoseGraph<S> {
         self.state.submaps.iter().filter(|(_, s)| s.searchable).map(|(id, _)| *id).collect()
     }
 
-    /// A submap is complete: from now on nodes are searched in it, first of all those that were there
-    /// before.
+    /// Marks a submap as complete: from now on nodes are searched in it, starting with all earlier nodes.
     fn finish_submap(&mut self, id: SubmapId, submap: Arc<S::Submap>) {
         let Some(entry) = self.state.submaps.get_mut(&id) else { return };
         entry.submap = Some(submap);
@@ -339,7 +340,7 @@ impl<S: Space> PoseGraph<S> {
         frozen(node_id.trajectory_id) && frozen(submap_id.trajectory_id)
     }
 
-    /// Tries the pairs that wait, adds what was found, optimises, and trims.
+    /// Searches the waiting pairs, adds the constraints found, optimises, and trims.
     pub fn optimize(&mut self) {
         let travel = self.travel_graph();
         let found = self.search.run(&travel, &self.remembered);
@@ -351,10 +352,24 @@ impl<S: Space> PoseGraph<S> {
         self.nodes_since_optimization = 0;
     }
 
-    /// Optimises once more, with as many iterations as the options allow at the end: after searching for pieces of map
-    /// that have no place yet, and more if too little was searched so far; elsewhere for trajectories that do not fit where they were said to start; again with loop closures that the optimised map
-    /// shows to have been missed; and again after leaving out contradicted ones if that is wanted. Then submaps are drawn
-    /// again, and the map is compared with itself. Once the map is wanted as it is, it is optimised once, and nothing else.
+    /// Final optimisation, with as many iterations as the options allow at the end:
+    ///
+    /// 1. Searches pieces of map that are not connected yet, ties those that were not found over their gaps
+    ///    by odometry, and searches more pairs if too few were searched so far.
+    ///
+    /// 2. Optimises.
+    ///
+    /// 3. Searches trajectories elsewhere whose scans contradict their given start, and moves parts after gaps
+    ///    back to where odometry puts them if their scans contradict less of the map there.
+    ///
+    /// 4. Searches for loop closures that the optimised map shows to have been missed, and optimises with
+    ///    them; settles loop closures with a degenerate direction.
+    ///
+    /// 5. If wanted, drops contradicted loop closures and optimises again.
+    ///
+    /// 6. Redraws submaps and compares the map with itself.
+    ///
+    /// Once the map is requested as it is, it is optimised once, and nothing else is done.
     pub fn run_final_optimization(&mut self) {
         self.place_pieces();
         self.tie_over_gaps();
@@ -407,7 +422,7 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    /// Logs how far nodes lie from where local SLAM put them in their submaps.
+    /// Logs the residuals of nodes against the poses that local SLAM gave them in their submaps.
     fn log_residuals(&self) {
         if !tracing::enabled!(tracing::Level::INFO) {
             return;
@@ -419,7 +434,7 @@ impl<S: Space> PoseGraph<S> {
         tracing::info!("Rotation residuals within submaps, radians: {radians}");
     }
 
-    /// Takes over optimised poses; nodes that the problem does not hold move with their trajectory.
+    /// Takes over optimised poses; nodes that are not in the optimisation problem move with their trajectory.
     fn publish_poses(&mut self) {
         let trajectories: Vec<TrajectoryId> = self.state.trajectories.keys().copied().collect();
         let old: BTreeMap<_, _> =
@@ -427,7 +442,7 @@ impl<S: Space> PoseGraph<S> {
         self.state.optimized_submaps.clone_from(&self.problem.submaps);
         let moved: BTreeMap<_, _> =
             old.iter().map(|(id, old)| (*id, self.state.map_from_local(*id) * old.inverse())).collect();
-        // Frozen ones did not move; turning their poses back and forth would change the last bits.
+        // Frozen ones did not move; transforming their poses forth and back would change the last bits.
         let frozen = &self.problem.frozen;
         for (id, node) in self.state.nodes.iter_mut().filter(|(id, _)| !frozen.contains(&id.trajectory_id)) {
             if let Some(optimized) = self.problem.nodes.get(id) {
@@ -449,8 +464,8 @@ impl<S: Space> PoseGraph<S> {
         self.problem.sensors_mut(id).odometry.entry(data.time).or_insert(data);
     }
 
-    /// How many nodes of a trajectory have satellite fixes that are not used, because they contradict the map or the robot moved too
-    /// little for a heading.
+    /// Number of nodes of a trajectory with satellite fixes that are not used, because they contradict the
+    /// map or the robot moved too little for a heading.
     pub fn unused_fixes(&self, id: TrajectoryId) -> usize {
         unused_fixes(&self.problem, id, &self.options.optimization_problem)
     }

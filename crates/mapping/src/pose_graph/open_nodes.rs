@@ -1,8 +1,8 @@
-//! Nodes whose scans do not tell where along a corridor they were taken.
+//! Nodes whose scans do not constrain their position along a corridor.
 //!
-//! Where a direction is open in the very submap that the scan was drawn in, it is open in others, too: however far along the
-//! corridor such a node is looked for, the place found is one of many. Its loop closures tie heading and walls, which drift
-//! less than the place.
+//! A direction that is degenerate in the very submap that the scan was inserted into is degenerate in others,
+//! too: however far along the corridor such a node is searched, the pose found is one of many. Its loop
+//! closures constrain the heading and the distance from the walls, which drift less than the position.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,14 +12,14 @@ use super::PoseGraph;
 use super::travel::{Lengths, TravelGraph};
 use crate::{NodeId, Space, SubmapId};
 
-/// Whether nodes leave a direction open, as far as they were asked.
+/// Whether nodes have a degenerate direction, for those that were tested.
 #[derive(Clone, Debug, Default)]
 pub(super) struct OpenNodes {
     known: BTreeMap<NodeId, bool>,
 }
 
 impl OpenNodes {
-    /// Whether a node is known to leave a direction open.
+    /// Whether a node is known to have a degenerate direction.
     pub fn contains(&self, node_id: NodeId) -> bool {
         self.known.get(&node_id) == Some(&true)
     }
@@ -31,7 +31,7 @@ impl OpenNodes {
 }
 
 impl<S: Space> PoseGraph<S> {
-    /// The ways in the map as it is, for searching the pairs that wait.
+    /// Graph of the path lengths in the present map, for searching the waiting pairs.
     pub(super) fn travel_graph(&mut self) -> TravelGraph {
         let mut travel = TravelGraph::new(&self.state, &self.ways);
         if self.policy.loops.drift > 0.0 {
@@ -42,7 +42,7 @@ impl<S: Space> PoseGraph<S> {
         travel
     }
 
-    /// Asks nodes whose first submap is finished.
+    /// Tests nodes whose first submap is finished for degenerate directions.
     fn ask_nodes(&mut self, nodes: &BTreeSet<NodeId>, travel: &TravelGraph) {
         let unknown: Vec<NodeId> =
             nodes.iter().copied().filter(|id| !self.open_nodes.known.contains_key(id)).collect();
@@ -58,7 +58,7 @@ impl<S: Space> PoseGraph<S> {
     }
 }
 
-/// The nodes of those pairs whose place has drifted for longer than their heading.
+/// The nodes of those pairs whose position has drifted over a longer path than their heading.
 fn drifting_nodes(travel: &TravelGraph, pairs: impl Iterator<Item = (SubmapId, NodeId)>) -> BTreeSet<NodeId> {
     let mut known: BTreeMap<SubmapId, Lengths> = BTreeMap::new();
     let drifts = |(submap_id, node_id): &(SubmapId, NodeId)| {

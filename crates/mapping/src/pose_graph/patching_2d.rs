@@ -1,4 +1,4 @@
-//! Cells of 2D submaps, and points of nodes, that newer submaps show otherwise.
+//! Updates cells of 2D submaps, and points of nodes, that newer submaps contradict.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -10,18 +10,18 @@ use portolan_sensor::PointCloud;
 use super::PoseGraph;
 use crate::{NodeId, Space2d, SubmapId, TrajectoryId, of_trajectory};
 
-/// What becomes of a place of the map in submaps that were drawn before.
+/// Change of a place of the map in older submaps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CellFate {
     /// It stays as it is.
     Stays,
-    /// Cells that know it say what newer submaps say.
+    /// Known cells take the value of newer submaps.
     Replaced,
-    /// Cells that do not know it say what newer submaps say, in submaps in which something is replaced.
+    /// Unknown cells take the value of newer submaps, in submaps in which something is replaced.
     Filled,
 }
 
-/// A grid, and where it lies in the map.
+/// A grid and its pose in the map.
 struct PlacedGrid<'a> {
     grid: &'a Grid2d,
     grid_from_map: Rigid2,
@@ -35,8 +35,9 @@ impl PlacedGrid<'_> {
 }
 
 impl PoseGraph<Space2d> {
-    /// Lets submaps of other trajectories say what those of one say, where `fate` of a point of the map wants it; how many
-    /// cells changed. What the newer submaps do not know becomes unknown.
+    /// Transfers cell values from the submaps of one trajectory into those of the others, where `fate` of a
+    /// point of the map says so; returns the number of changed cells. Cells that the newer submaps do not
+    /// know become unknown.
     pub fn patch(&mut self, newer: TrajectoryId, fate: &(dyn Fn(&Vector2) -> CellFate + Sync)) -> usize {
         let state = &self.state;
         let sources: Vec<PlacedGrid> = of_trajectory(&state.submaps, newer)
@@ -68,7 +69,7 @@ impl PoseGraph<Space2d> {
         Some(project_2d(&(self.state.map_from_submap(id)? * local_from_submap.inverse())))
     }
 
-    /// The grid of a submap with what newer ones say; none if nothing of it is replaced.
+    /// The grid of a submap with the values of newer ones; none if nothing of it is replaced.
     fn patched(
         &self,
         id: SubmapId,
@@ -96,8 +97,9 @@ impl PoseGraph<Space2d> {
         Some((id, patched, count))
     }
 
-    /// Takes points out of the scans of nodes of other trajectories that lie where something is gone, asked for by points of
-    /// the map: what is gone is not to be looked for any more. Scans of which nothing would be left stay. How many points.
+    /// Removes points from the scans of nodes of other trajectories where `is_gone` is true of a point of the
+    /// map: they are not to be matched any more. Scans of which nothing would be left stay. Returns the
+    /// number of points removed.
     pub fn forget_points(&mut self, newer: TrajectoryId, is_gone: &dyn Fn(&Vector2) -> bool) -> usize {
         let older: BTreeSet<NodeId> =
             self.state.nodes.keys().filter(|id| id.trajectory_id != newer).copied().collect();

@@ -1,4 +1,4 @@
-//! Cells of 3D submaps, and points of nodes, that newer submaps show otherwise.
+//! Updates cells of 3D submaps, and points of nodes, that newer submaps contradict.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -12,17 +12,17 @@ use super::PoseGraph;
 use super::extension::NearestSubmaps;
 use crate::{Space3d, SubmapId, TrajectoryId, of_trajectory};
 
-/// The probability of a cell in which nothing is any more.
+/// Probability of a cell that is not occupied any more.
 const FREE: f32 = 0.1;
 
-/// What becomes of a place in 3D submaps that were drawn before.
+/// Change of a place in older 3D submaps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VoxelFate {
     /// It stays as it is.
     Stays,
-    /// Something is there that newer submaps show.
+    /// Newer submaps show something new there.
     Appeared,
-    /// What was there is gone.
+    /// Something that was there is gone.
     Gone,
 }
 
@@ -31,7 +31,7 @@ fn grids(submap: &Submap3d) -> [&HybridGrid; 2] {
     [&submap.high_resolution_grid, &submap.low_resolution_grid]
 }
 
-/// What is solid in a grid, as points of the map with their probabilities.
+/// Occupied cells of a grid, as points of the map with their probabilities.
 fn solid(grid: &HybridGrid, map_from_submap: &Rigid3f) -> Vec<(Point3f, f32)> {
     let mut found = Vec::new();
     grid.for_each_cell(|cell, _| {
@@ -44,8 +44,9 @@ fn solid(grid: &HybridGrid, map_from_submap: &Rigid3f) -> Vec<(Point3f, f32)> {
 }
 
 impl PoseGraph<Space3d> {
-    /// Draws into submaps of other trajectories what those of one show, where `fate` of a point of the map wants it: what is
-    /// gone becomes free in all of them, what appeared becomes solid in the one that is nearest to it.
+    /// Transfers changes from the submaps of one trajectory into those of the others, where `fate` of a point
+    /// of the map says so. What is gone becomes free in all of them, what appeared becomes occupied in the
+    /// one that is nearest to it.
     pub fn patch_voxels(&mut self, newer: TrajectoryId, fate: &dyn Fn(&Point3f) -> VoxelFate) {
         let older: BTreeSet<SubmapId> =
             self.state.submaps.keys().filter(|id| id.trajectory_id != newer).copied().collect();
@@ -83,7 +84,8 @@ impl PoseGraph<Space3d> {
         }
     }
 
-    /// What appeared in fine and coarse grids of newer submaps, by the older submap that is nearest to it.
+    /// New occupied cells of the fine and coarse grids of newer submaps, by the older submap that is nearest
+    /// to them.
     fn appeared(
         &self,
         newer: TrajectoryId,
@@ -109,8 +111,8 @@ impl PoseGraph<Space3d> {
         found
     }
 
-    /// Takes points out of the scans of nodes of other trajectories that lie where something is gone, asked for by points of
-    /// the map: what is gone is not to be looked for any more. Scans of which nothing would be left stay.
+    /// Removes points from the scans of nodes of other trajectories where `is_gone` is true of a point of the
+    /// map: they are not to be matched any more. Scans of which nothing would be left stay.
     pub fn forget_points_3d(&mut self, newer: TrajectoryId, is_gone: &dyn Fn(&Point3f) -> bool) {
         for (_, node) in self.state.nodes.iter_mut().filter(|(id, _)| id.trajectory_id != newer) {
             let map_from_tracking = to_f32(&node.map_from_tracking);

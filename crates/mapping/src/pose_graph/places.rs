@@ -1,8 +1,8 @@
-//! Nodes of a piece of map looked for in all submaps of another one at once.
+//! Searches nodes of one piece of map in all submaps of another piece at once, by a place index.
 //!
-//! A search of the whole map proposes places for the stretch of way around a node; the matcher of single submaps judges
-//! them, as it judges everything else, by the scan of that node alone. So what is believed does not depend on the index;
-//! it only spares searching submaps in which nothing is.
+//! The search of the whole map proposes poses for the path segment around a node. The matcher of single
+//! submaps accepts or rejects them, as it does everything else, by the scan of that node alone. So the index
+//! does not decide what is accepted; it only saves searching submaps that cannot match.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,25 +13,26 @@ use rayon::prelude::*;
 use super::PoseGraph;
 use crate::{NodeData, NodeId, PlaceFinder, Space, SubmapId, SubmapInMap, TrajectoryId, of_trajectory};
 
-/// Of the scans around a node that show what is there, no more than one in so many metres counts.
+/// Minimum distance along the path between the scans around a node that are searched together, metres.
 const SCAN_SPACING: f64 = 0.5;
-/// A place is judged in so many submaps: those whose nodes came nearest to it.
+/// Number of submaps in which a proposed pose is matched: those whose nodes came nearest to it.
 const SUBMAPS_A_PLACE: usize = 2;
-/// How far around a proposed place it is judged: half of a diagonal of its cells and headings, and as much as the submaps of
-/// a place disagree before the last optimisation.
+/// Search window around a proposed pose, metres and radians: half of a diagonal of its cells and headings,
+/// which also covers the disagreement of the submaps of a place before the last optimisation.
 pub(super) const AROUND_PROPOSAL: SearchWindow = SearchWindow { linear: 0.5, angular: 0.09 };
 
-/// Parts of the map are made ready again when they have grown by this fraction.
+/// Growth of the map, as a fraction of its complete submaps, after which the place indices are built again.
 const GROWTH: f64 = 0.1;
 
-/// So many parts are searched, those of the most complete submaps: where a scanner was lost again and again, every piece would be
-/// looked for in every other, and time would grow with the square of the recording's.
+/// Maximum number of connected parts that are searched: those with the most complete submaps. Otherwise, in a
+/// recording whose pose is lost again and again, every piece would be searched in every other one, and time
+/// would grow with the square of the recording length.
 const MOST_PARTS: usize = 8;
 
-/// A connected part of the map that nodes are looked for in.
+/// A connected part of the map in which nodes are searched.
 pub(super) struct SearchedPart {
     finder: Box<dyn PlaceFinder>,
-    /// Submaps, their poses in the map, and where their nodes are.
+    /// Submaps, their poses in the map, and the positions of their nodes.
     submaps: Vec<(SubmapId, Rigid3, Vec<Vector3>)>,
 }
 
@@ -48,35 +49,37 @@ impl SearchedPart {
     }
 }
 
-/// Searches may look up so many cells for each node of the map while mapping, and as many at the end: a few milliseconds' worth, as
-/// long as it takes to make a node. What is not used is saved, as far as a search can need; a search that needs more delays the
-/// next ones.
+/// Budget of searches for each node of the map while mapping, and the same again at the end, in cell
+/// look-ups: a few milliseconds, as long as it takes to make a node. What is not used is saved, up to
+/// [`MOST_SAVED`]; a search that needs more delays the next ones.
 const LOOKUPS_A_NODE: i64 = 3_000_000;
+/// Maximum budget that is saved, in cell look-ups: as much as a search can need.
 const MOST_SAVED: i64 = 2_000_000_000;
-/// A search in one part of the map may look up so many cells in any case, some hundredths of a second: fewer tell nothing.
+/// Minimum budget of a search in one part of the map, in cell look-ups, some hundredths of a second: with
+/// fewer it finds nothing.
 const LEAST_LOOKUPS: u64 = 1 << 24;
 
-/// What is searched for the nodes of trajectories without a place, while they are being recorded.
+/// Searches for nodes of trajectories without a place, while they are being recorded.
 #[derive(Default)]
 pub(super) struct PlaceSearches {
     ready: Option<ReadyParts>,
-    /// How far along its trajectory the last node was that was looked for, metres.
+    /// Distance along its trajectory of the last node that was searched, metres.
     last: Steps,
-    /// Look-ups that may still be spent; below zero, those that were spent in advance.
+    /// Look-ups left in the budget; below zero, those that were spent in advance.
     saved: i64,
 }
 
-/// How far along each trajectory something was done last, metres.
+/// By trajectory: distance along it at which something was done last, metres.
 #[derive(Default)]
 pub(super) struct Steps(BTreeMap<TrajectoryId, f64>);
 
 impl Steps {
-    /// The way begins here, where nothing is done yet.
+    /// Starts counting at this distance along the trajectory.
     fn begin(&mut self, id: TrajectoryId, way: f64) {
         self.0.entry(id).or_insert(way);
     }
 
-    /// Whether it is to be done again, once in so many metres; if so it is noted.
+    /// Whether it is due again, once in `spacing` metres; if so, this distance is noted.
     pub fn is_due(&mut self, id: TrajectoryId, way: f64, spacing: f64) -> bool {
         let is_due = self.0.get(&id).is_none_or(|last| way - last >= spacing);
         if is_due {
@@ -87,29 +90,29 @@ impl Steps {
 }
 
 impl PlaceSearches {
-    /// The trajectories whose nodes were looked for.
+    /// The trajectories whose nodes were searched.
     pub fn looked_for(&self) -> impl Iterator<Item = TrajectoryId> {
         self.last.0.keys().copied()
     }
 
-    /// One more node came.
+    /// Adds the budget of one more node.
     fn save(&mut self) {
         self.saved = (self.saved + LOOKUPS_A_NODE).min(MOST_SAVED);
     }
 
-    /// All of so many nodes are there.
+    /// Adds the budget of this number of nodes, as at the end.
     pub fn save_for(&mut self, nodes: usize) {
         let all = LOOKUPS_A_NODE.saturating_mul(i64::try_from(nodes).unwrap_or(i64::MAX));
         self.saved = self.saved.max(0).saturating_add(all);
     }
 
-    /// Somebody wants a place to be found whatever it takes.
+    /// Lifts the limit: the caller wants a place to be found at any cost.
     pub fn save_without_limit(&mut self) {
         self.saved = i64::MAX;
     }
 
-    /// What the nodes of one round may look up in all parts together: half of what is left, so that something is left for those
-    /// that come later.
+    /// Budget of the nodes of one round in all parts together: half of what is left, so that later rounds
+    /// have some.
     pub fn most_lookups_of_round(&self) -> u64 {
         u64::try_from(self.saved / 2).unwrap_or(0)
     }
@@ -123,7 +126,7 @@ impl PlaceSearches {
     }
 }
 
-/// Where a node may be.
+/// Proposed poses of a node.
 #[derive(Default)]
 struct Proposals {
     /// The node, a submap, and its pose in that submap.
@@ -131,29 +134,29 @@ struct Proposals {
     lookups: u64,
 }
 
-/// Parts of the map, as they were when they were made ready.
+/// Searchable parts of the map, as they were when their indices were built.
 struct ReadyParts {
-    /// The trajectories without which they are.
+    /// The trajectories that were left out.
     without: BTreeSet<TrajectoryId>,
-    /// How many submaps were complete.
+    /// Number of complete submaps.
     complete: usize,
     parts: Vec<SearchedPart>,
 }
 
 impl<S: Space> PoseGraph<S> {
-    /// Whether trajectories without a place are looked for in whole maps at once.
+    /// Whether trajectories without a place are searched in whole maps at once.
     pub(super) fn searches_whole_maps(&self) -> bool {
         self.policy.loops.searches_whole_maps
     }
 
-    /// Nodes are looked for once in so many metres of way.
+    /// Distance along the path between two nodes that are searched, metres.
     pub(super) fn spacing_of_searches(&self) -> f64 {
         self.policy.loops.spacing.max(SCAN_SPACING)
     }
 
-    /// Schedules the search for a new node in the parts of the map that its trajectory is not connected with, once in so many
-    /// metres of way as nodes are searched in a submap. Parts before and after a gap are looked for in each other around
-    /// where odometry says that they lie, and everywhere only at the end.
+    /// Schedules the search for a new node in the parts of the map that its trajectory is not connected with,
+    /// once per distance along the path, as for the search in a submap. Parts before and after a gap are
+    /// searched in each other around the pose that odometry predicts, and everywhere only at the end.
     pub(super) fn look_everywhere(&mut self, node_id: NodeId) {
         let id = node_id.trajectory_id;
         self.places.save();
@@ -178,7 +181,7 @@ impl<S: Space> PoseGraph<S> {
         self.places.ready = Some(ready);
     }
 
-    /// The parts that are ready, or new ones where they are others by now, or have grown.
+    /// The indexed parts; built again if other parts are needed, or the map has grown.
     fn ready_parts(&mut self, without: BTreeSet<TrajectoryId>) -> ReadyParts {
         let submaps = self.state.submaps.iter();
         let complete = submaps
@@ -194,8 +197,8 @@ impl<S: Space> PoseGraph<S> {
         })
     }
 
-    /// The parts of the map without some trajectories, ready to be searched, at most [`MOST_PARTS`]; none where whole maps cannot
-    /// be searched.
+    /// The parts of the map without some trajectories, indexed for searching, at most [`MOST_PARTS`]; none
+    /// where whole maps cannot be searched.
     pub(super) fn searched_parts(&self, without: &BTreeSet<TrajectoryId>) -> Vec<SearchedPart> {
         let parts = self.state.connectivity.components().into_iter().map(|mut part| {
             part.retain(|id| !without.contains(id));
@@ -232,8 +235,9 @@ impl<S: Space> PoseGraph<S> {
         Some(SearchedPart { finder: S::place_finder(&parts)?, submaps })
     }
 
-    /// Schedules the search for nodes where whole parts of the map propose them. All together look up `most_lookups` cells at
-    /// most, or [`LEAST_LOOKUPS`] a node and part. Returns how many cells were looked up.
+    /// Schedules the search for nodes at the poses that whole parts of the map propose. All together look up
+    /// at most `most_lookups` cells, or [`LEAST_LOOKUPS`] a node and part. Returns the number of cells looked
+    /// up.
     pub(super) fn add_proposed(
         &mut self,
         node_ids: &[NodeId],
@@ -253,7 +257,8 @@ impl<S: Space> PoseGraph<S> {
         lookups
     }
 
-    /// Submaps in which a node may be, and where; so many cells are looked up in each part at most.
+    /// Submaps in which a node may be, with its pose there. At most `most_lookups` cells are looked up in
+    /// each part.
     fn proposals(&self, node_id: NodeId, parts: &[SearchedPart], most_lookups: u64) -> Proposals {
         let scans = self.stretch_around(node_id);
         let mut proposals = Proposals::default();
@@ -268,7 +273,7 @@ impl<S: Space> PoseGraph<S> {
         proposals
     }
 
-    /// The scan of a node and those around it along the way, with their poses in its frame.
+    /// The scan of a node and those around it along the path, with their poses in its frame.
     fn stretch_around(&self, node_id: NodeId) -> Vec<(Rigid3, &NodeData)> {
         let pose = |id: &NodeId| self.problem.nodes.get(id).map(|node| node.map_from_node);
         let (Some(node), Some(map_from_node), Some(middle)) =

@@ -1,4 +1,4 @@
-//! What the pose graph does beyond what Cartographer does.
+//! Options of the pose graph that Cartographer does not have.
 
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
@@ -9,37 +9,41 @@ use portolan_submaps::SearchWindow;
 
 use crate::{MatchAcceptance, NodeId, SubmapId, TrajectoryId};
 
-/// How far and how often nodes are searched in submaps that they are connected with.
+/// Size of the search windows for loop closures between a node and a submap of the same connected map, and
+/// how often such pairs are searched.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LoopSearchPolicy {
-    /// Metres by which a node may be off for each metre of way since its submap was last seen; windows follow
-    /// that. 0: windows are those of the options.
+    /// Drift, metres for each metre of path since the submap was last seen; search windows grow with it. 0:
+    /// windows are those of the options.
     pub drift: f64,
-    /// A node is searched in a submap once in so many metres of way; 0: as `sampling_ratio` says.
+    /// Distance along the trajectory between two searches in the same submap, metres; 0: searches follow
+    /// `sampling_ratio`.
     pub spacing: f64,
-    /// Which matches are believed.
+    /// Criteria by which matches are accepted.
     pub acceptance: MatchAcceptance,
-    /// Whether `max_constraint_distance` counts from where the nodes of a submap were taken, instead of from its origin.
+    /// Whether `max_constraint_distance` is measured from the nodes of a submap instead of from its origin.
     pub is_from_nodes: bool,
-    /// Whether a trajectory without a place in the rest is searched in whole parts of the map at once; otherwise in whole submaps, as
-    /// `global_sampling_ratio` says.
+    /// Whether a trajectory that is not connected with the rest is searched in whole connected parts of the
+    /// map at once; otherwise in whole submaps, at the rate of `global_sampling_ratio`.
     pub searches_whole_maps: bool,
 }
 
-/// A node can be so far off however short the path was: cells, bent submaps, a slip of the wheels.
+/// Smallest window, metres and radians: errors that do not depend on the path length (cell size, bent
+/// submaps, wheel slip).
 const LEAST_WINDOW: SearchWindow = SearchWindow { linear: 1.5, angular: 0.2 };
-/// No window is wider than this, metres: what drifts farther is left to searching whole submaps.
+/// Widest window, metres. Larger drift is left to the search of whole submaps.
 const WIDEST_WINDOW: f64 = 30.0;
 
 impl LoopSearchPolicy {
-    /// How far poses drift over a way of so many metres. The place drifts with the way, as a heading that is off by a constant
-    /// makes it; the heading itself does a random walk.
+    /// Drift over a path of length `way`, metres: metres and radians. The position error grows linearly with
+    /// the path length, as it does with a constant heading error; the heading error is a random walk (square
+    /// root of the path length).
     pub(super) fn drift_over(&self, way: f64) -> SearchWindow {
         SearchWindow { linear: self.drift * way, angular: self.drift * way.sqrt() }
     }
 
-    /// How far around its guess a node is searched after paths of so many metres since the place and since the heading
-    /// were tied.
+    /// Search window around the guess. `travelled` and `turned` are the path lengths, metres, over which the
+    /// position and the heading have drifted since they were last constrained.
     pub(super) fn window(&self, travelled: f64, turned: f64) -> SearchWindow {
         let (linear, angular) = (self.drift_over(travelled).linear, self.drift_over(turned).angular);
         SearchWindow {
@@ -48,29 +52,31 @@ impl LoopSearchPolicy {
         }
     }
 
-    /// The widest window that any way makes, metres.
+    /// Widest window for any path length, metres.
     pub(super) fn widest_window(&self) -> f64 {
         if self.drift > 0.0 { WIDEST_WINDOW } else { 0.0 }
     }
 }
 
-/// Loop closures over so many metres of way tell all they can; over less they tell less.
+/// Path length from which a loop closure has its full information, metres; over shorter paths it has
+/// proportionally less.
 const TELLING_WAY: f64 = 20.0;
-/// A fraction of all is searched all the same: places are measured better by being measured more often.
+/// Minimum fraction of pairs that are searched however short the path: repeated measurements still improve
+/// the poses.
 const LEAST_SHARE: f64 = 0.1;
 
-/// When it is the turn of a node to be searched in one submap.
+/// Decides which nodes are searched in one submap.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Spacing {
-    /// By trajectory: how far along it the last node was that had its turn, metres.
+    /// By trajectory: distance along it of the last node that was searched, metres.
     last: BTreeMap<TrajectoryId, f64>,
-    /// Searches that are due, of those that would tell less than others.
+    /// Accumulated fraction of searches with reduced information; a search is due at 1.
     due: f64,
 }
 
 impl Spacing {
-    /// Whether the turn of a node at so many metres of its trajectory has come, one in `spacing` metres. Submaps
-    /// take turns, so that not all are searched for the same nodes.
+    /// Whether a node at distance `way` along its trajectory is to be searched: one node in `spacing` metres.
+    /// Each submap has its own phase, so that not all submaps are searched for the same nodes.
     pub fn is_due(&mut self, (submap, node): (SubmapId, NodeId), way: f64, spacing: f64) -> bool {
         let phase = (f64::from(submap.index) * GOLDEN).fract();
         let last = self.last.entry(node.trajectory_id).or_insert(way - phase * spacing);
@@ -81,7 +87,8 @@ impl Spacing {
         is_due
     }
 
-    /// Whether to search after a path of so many metres.
+    /// Whether to search a pair whose path length is `travelled`, metres. Pairs with a short path are
+    /// searched less often.
     pub fn is_telling(&mut self, travelled: f64) -> bool {
         self.due += (travelled / TELLING_WAY).clamp(LEAST_SHARE, 1.0);
         let is_due = self.due >= 1.0;
@@ -90,28 +97,29 @@ impl Spacing {
     }
 }
 
-/// Multiples of it fill an interval evenly.
+/// Golden ratio − 1; the fractional parts of its multiples fill an interval evenly.
 pub(super) const GOLDEN: f64 = 0.618_033_988_749_895;
 
-/// What the pose graph does beyond what Cartographer does; nothing by default.
+/// Options of the pose graph that Cartographer does not have; by default all are off.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseGraphPolicy {
-    /// Loop closures that all others together contradict are dropped at the end.
+    /// Whether loop closures that all others together contradict are dropped at the end.
     pub drops_contradicted: bool,
-    /// What is made of what sensors say when optimising.
+    /// How the optimisation uses other sensors.
     pub sensors: SensorPolicy,
-    /// How many matches in whole submaps must agree to connect two trajectories; with 1 a single match does.
+    /// Number of matches in whole submaps that must agree to connect two trajectories; with 1 a single match
+    /// suffices.
     pub min_agreeing: usize,
-    /// Trajectories without a place in the map are searched as soon as nodes come, as many times as real time
-    /// allows, where the scanner can be (only in 3D).
+    /// Whether trajectories that are not connected with the map are searched while they are recorded, as
+    /// often as real time allows, where the scanner can be (3D only).
     pub localises_while_recording: bool,
-    /// Pairs that are to be tried in all before the last optimisation; 0 adds none.
+    /// Minimum number of pairs searched before the last optimisation; 0 adds none.
     pub min_searches: u64,
     /// Searches in a window.
     pub loops: LoopSearchPolicy,
-    /// So many of the newest submaps of each place stay, and the first; 0: all.
+    /// Number of newest submaps of each place that are kept, besides the first; 0: all.
     pub submaps_per_place: usize,
-    /// Submaps are drawn again from their scans when the map is finished (in 2D).
+    /// Whether submaps are inserted again from their scans at the final poses when the map is finished (2D).
     pub redraws: bool,
 }
 
@@ -130,13 +138,13 @@ impl Default for PoseGraphPolicy {
     }
 }
 
-/// A graph is optimised again when it has grown by this fraction.
+/// Growth of the graph after which it is optimised again, as a fraction of its nodes.
 const GROWTH: f64 = 0.05;
 
 impl PoseGraphPolicy {
-    /// After how many nodes to optimise a graph of so many nodes; `least` as the options say. Where windows follow
-    /// the drift a large graph need not be optimised as often as a small one, so that the time for all of it grows
-    /// with the number of nodes and not with its square.
+    /// Number of new nodes after which a graph of `nodes` nodes is optimised again; `least` is the option.
+    /// Where windows follow the drift, a large graph needs to be optimised less often than a small one. The
+    /// total time then grows with the number of nodes and not with its square.
     pub(super) fn nodes_between_optimizations(&self, least: i64, nodes: usize) -> i64 {
         let grown = if self.loops.drift > 0.0 { (GROWTH * nodes as f64) as i64 } else { 0 };
         if least > 0 { least.max(grown) } else { least }

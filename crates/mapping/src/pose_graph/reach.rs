@@ -1,4 +1,4 @@
-//! Which submaps are near enough to a node to look for it in them.
+//! Decides which submaps are near enough to a node for the node to be searched in them.
 
 use portolan_geometry::Vector3;
 
@@ -6,9 +6,9 @@ use super::PoseGraph;
 use crate::{NodeId, Space, SubmapEntry, SubmapId};
 
 impl<S: Space> PoseGraph<S> {
-    /// Whether a node that lies so far from the origin of a submap (metres, in the frame of either) is no farther away than
-    /// `max_constraint_distance` and `more`, metres. A car makes submaps that are a hundred metres long: where the policy says so,
-    /// the distance counts from where their nodes were taken.
+    /// Whether a node at offset `from_origin` from the origin of a submap (metres, in the frame of either) is
+    /// within `max_constraint_distance` plus `more`, metres. A car makes submaps that are a hundred metres
+    /// long: if the policy says so, the distance is measured from the nodes of the submap.
     pub(super) fn is_in_reach(
         &self,
         (submap_id, entry): (SubmapId, &SubmapEntry<S>),
@@ -29,7 +29,7 @@ impl<S: Space> PoseGraph<S> {
         entry.node_ids.iter().filter_map(place).any(|other| (other - here).norm() <= farthest)
     }
 
-    /// Takes note of how long a complete submap is.
+    /// Stores the extent of a complete submap.
     pub(super) fn note_extent(&mut self, id: SubmapId) {
         let Some(entry) = self.state.submaps.get(&id) else { return };
         let origin = entry.local_from_submap.translation.vector;
@@ -51,7 +51,7 @@ mod tests {
     use crate::made_rooms::{node, submap};
     use crate::{InsertedNode, InsertionSubmap, NodeData, Space2d, TrajectoryId};
 
-    /// Whether a node at so many metres is in reach of a submap whose nodes lie along 100 m.
+    /// Whether a node at this distance, metres, is in reach of a submap whose nodes are along 100 m.
     fn reaches(is_from_nodes: bool, x: f64) -> bool {
         let mut graph = PoseGraph::<Space2d>::new(Options::for_2d().map_builder.pose_graph);
         graph.policy.loops.is_from_nodes = is_from_nodes;

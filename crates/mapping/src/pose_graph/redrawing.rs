@@ -1,8 +1,9 @@
-//! Submaps drawn again when the map is finished.
+//! Draws submaps again when the map is finished.
 //!
-//! While mapping, a submap is drawn where local SLAM believes its scans to be, and every scan is believed alike at any
-//! distance. The optimisation moves the scans of a submap against each other, and what far beams wiped out along walls
-//! stays wiped out. What is looked at, and what others find themselves in, is drawn from the scans at their final poses.
+//! While mapping, a submap is drawn from scans at the poses of local SLAM, with the same weight for hits at
+//! any distance. The optimisation moves the scans of a submap against each other, and occupied cells along
+//! walls that far beams erased stay erased. The final submaps, which are displayed and used for localisation,
+//! are drawn from the scans at their final poses.
 
 use std::sync::Arc;
 
@@ -12,8 +13,8 @@ use super::PoseGraph;
 use crate::{Space, SubmapId};
 
 impl<S: Space> PoseGraph<S> {
-    /// Draws all submaps of this job again, if that is wanted; none once the map is wanted as it is. Those of a known map stay
-    /// as they are.
+    /// Draws all submaps of this job again, if the policy says so; none once the map is requested as it is.
+    /// Submaps of a known map stay as they are.
     pub(super) fn redraw_submaps(&mut self) {
         if !self.policy.redraws {
             return;

@@ -1,4 +1,4 @@
-//! Taking out of a map what newer scans show otherwise, so that it does not grow with time.
+//! Removes submaps that newer ones supersede, so that a map does not grow with time.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -8,29 +8,32 @@ use super::PoseGraph;
 use super::visible_cells::VisibleCells;
 use crate::{NodeId, Space, SubmapId, TrajectoryId};
 
-/// Which submaps newer ones replace.
+/// Criteria by which newer submaps replace older ones.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Replacement {
-    /// So many of the newest submaps are seen of each cell.
+    /// Number of newest submaps in which each cell counts as visible.
     pub newest: usize,
-    /// A submap of which less than this is seen is replaced, square metres …
+    /// Visible area below which a submap is replaced, square metres.
     pub least_seen: f64,
-    /// … unless it alone knows more than this, square metres.
+    /// Area known only to this submap above which it stays all the same, square metres.
     pub most_alone: f64,
-    /// Where these are larger, shares of the submap count instead of the two areas.
+    /// Visible fraction of the area of the submap below which it is replaced; the larger of this and
+    /// `least_seen` counts.
     pub least_share: f64,
-    /// The share that it alone may know.
+    /// Fraction of its area that a submap may know alone and still go; the larger of this and `most_alone`
+    /// counts.
     pub most_share_alone: f64,
 }
 
-/// Edge of the cells in which is counted what 3D submaps cover, metres.
+/// Edge of the cells in which the coverage of 3D submaps is counted, metres.
 const VOXEL: f64 = 0.5;
 
 /// A cell of the map along x, y and, in 3D, z.
 type Cell = (i64, i64, i64);
 
-/// The cells of the map that submaps know, and how many of these know each; in 3D those in which something is solid, and
-/// that know a cell beside it, too: surfaces are never met in quite the same cells again.
+/// The cells of the map that submaps know, and the number of submaps that know each. In 3D these are occupied
+/// cells, and a submap also counts as knowing the cells beside them: surfaces are never measured in quite the
+/// same cells again.
 #[derive(Clone, Debug)]
 pub struct Coverage {
     cells: BTreeMap<SubmapId, BTreeSet<Cell>>,
@@ -59,7 +62,8 @@ impl Coverage {
         cells.iter().flat_map(around).collect()
     }
 
-    /// How much of each submap is seen if every cell of the map counts for the first so many that know it, square metres.
+    /// Visible area of each submap, square metres, if every cell of the map is visible in the first `counted`
+    /// submaps that know it.
     fn seen(&self, newest_first: impl Iterator<Item = SubmapId>, counted: usize) -> BTreeMap<SubmapId, f64> {
         let mut visible = VisibleCells::in_first(counted);
         let mut areas = BTreeMap::new();
@@ -75,17 +79,18 @@ impl Coverage {
         cells as f64 * self.cell_size * self.cell_size
     }
 
-    /// What a submap knows, square metres.
+    /// Area known to a submap, square metres.
     fn area_of(&self, id: SubmapId) -> f64 {
         self.area(self.cells.get(&id).map_or(0, BTreeSet::len))
     }
 
-    /// Takes a submap over from another one.
+    /// Copies a submap from another coverage.
     pub fn take(&mut self, id: SubmapId, from: &Self) {
         self.add(id, from.cells.get(&id).cloned().unwrap_or_default());
     }
 
-    /// Takes a submap out, unless it alone knows more than so many square metres; whether it went.
+    /// Removes a submap, unless it alone knows more than `most_alone` square metres; returns whether it was
+    /// removed.
     pub fn remove_unless_alone(&mut self, id: SubmapId, most_alone: f64) -> bool {
         let Some(own) = self.cells.get(&id) else { return false };
         let alone = own.iter().filter(|cell| self.known.get(*cell) == Some(&1)).count();
@@ -99,26 +104,27 @@ impl Coverage {
         true
     }
 
-    /// What fraction of a submap a submap of another coverage knows, too.
+    /// Fraction of the cells of a submap that a submap of another coverage knows, too.
     pub fn fraction_known_by(&self, id: SubmapId, other: SubmapId, of: &Self) -> f64 {
         let (Some(own), Some(others)) = (self.cells.get(&id), of.cells.get(&other)) else { return 0.0 };
         own.intersection(others).count() as f64 / own.len().max(1) as f64
     }
 }
 
-/// What the pose graph is made of.
+/// A vertex of the pose graph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Part {
     Submap(SubmapId),
     Node(NodeId),
 }
 
-/// A place that a part of the graph hangs at.
+/// A vertex by which a part of the graph is tied, with its pose.
 type Place<I> = (I, Rigid3);
 
 impl<S: Space> PoseGraph<S> {
-    /// Removes submaps, the nodes that belong to no other one, and trajectories of which nothing is left. Where this tears
-    /// apart what constraints tied together, the pieces are tied again as they lie now: what was removed had measured that.
+    /// Removes submaps, the nodes that belong to no other one, and trajectories of which nothing is left.
+    /// Where this disconnects what constraints tied together, the pieces are tied again at their present
+    /// relative poses: the removed constraints had measured these.
     pub fn remove_submaps(&mut self, ids: &BTreeSet<SubmapId>) {
         if ids.is_empty() {
             return;
@@ -135,9 +141,10 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    /// Older submaps of which a trajectory leaves too little to be seen: each cell of the map is seen in the newest
-    /// `replacement.newest` submaps that know it, where trajectories are as old as their numbers say. Submaps from which the
-    /// trajectory takes nothing are not among them, nor those that alone know a place.
+    /// Older submaps that a trajectory covers almost completely. Each cell of the map is visible in the
+    /// newest `replacement.newest` submaps that know it; the age of trajectories is the order of their
+    /// numbers. Submaps of which the trajectory hides nothing are not among them, nor those that alone know a
+    /// place.
     pub fn covered_by(&self, new: TrajectoryId, replacement: Replacement) -> BTreeSet<SubmapId> {
         let newest_first = self.state.submaps.keys().rev().copied();
         let older = newest_first.clone().filter(|id| id.trajectory_id != new);
@@ -179,7 +186,7 @@ impl<S: Space> PoseGraph<S> {
         coverage
     }
 
-    /// The cells of the map in which points of a submap lie.
+    /// The cells of the map that contain points of a submap.
     fn voxels(&self, id: SubmapId, in_submap: &[Point3f]) -> BTreeSet<Cell> {
         let Some(pose) = self.state.optimized_submaps.get(&id).map(to_f32) else { return BTreeSet::new() };
         let cell = |point: &Point3f| {
@@ -189,7 +196,7 @@ impl<S: Space> PoseGraph<S> {
         in_submap.iter().map(cell).collect()
     }
 
-    /// Which parts of the graph hang together: each with the first one of its piece.
+    /// Connected components of the graph: each vertex with the first one of its component.
     pub(super) fn tied_parts(&self) -> BTreeMap<Part, Part> {
         let mut pieces = Pieces::default();
         self.state.submaps.keys().for_each(|id| pieces.add(Part::Submap(*id)));
@@ -224,7 +231,7 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    /// Ties the submap of a piece to a node of others, the two that lie nearest together.
+    /// Ties a submap of a piece to a node of the others: the two that are nearest to each other.
     fn tie_piece(&mut self, piece: &[Part], others: &[Place<NodeId>]) {
         let submaps = piece.iter().filter_map(|part| match part {
             Part::Submap(id) => Some((*id, *self.problem.submaps.get(id)?)),

@@ -1,4 +1,4 @@
-//! Which of the many pairs of nodes and submaps are tried.
+//! Samples the pairs of nodes and submaps that are searched.
 
 use std::collections::BTreeMap;
 
@@ -11,12 +11,12 @@ pub(super) struct Samplers<K> {
 }
 
 impl<K: Ord> Samplers<K> {
-    /// All with one ratio; one that makes no sense (options are checked elsewhere) samples nothing.
+    /// All with one ratio; an invalid ratio (options are checked elsewhere) samples nothing.
     pub fn new(ratio: f64) -> Self {
         Self { ratio, samplers: BTreeMap::new() }
     }
 
-    /// Whether the turn of this one has come.
+    /// Whether the sampler of this key selects the next item.
     pub fn pulse(&mut self, key: K) -> bool {
         if let Some(sampler) = self.samplers.get_mut(&key) {
             return sampler.pulse();
@@ -27,7 +27,7 @@ impl<K: Ord> Samplers<K> {
         turn
     }
 
-    /// Starts anew for this one.
+    /// Resets the sampler of this key.
     pub fn forget(&mut self, key: &K) {
         self.samplers.remove(key);
     }

@@ -1,5 +1,4 @@
-//! Finding nodes in submaps: which pairs are tried, and trying them in parallel
-//! (`slam2d.md` §13).
+//! Searches nodes in submaps: selects pairs and matches them in parallel (`slam2d.md` §13).
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -20,7 +19,7 @@ use crate::{
     Constraint, ConstraintTag, MatchedPose, Nearby, NodeData, NodeId, SearchRegion, Space, SubmapId,
 };
 
-/// A pair to try.
+/// A pair to match.
 struct SearchTask<S: Space> {
     submap_id: SubmapId,
     submap: Arc<S::Submap>,
@@ -31,7 +30,7 @@ struct SearchTask<S: Space> {
 }
 
 impl<S: Space> SearchTask<S> {
-    /// `lengths` are those of the paths from the submap to others.
+    /// `lengths` are the lengths of the shortest paths from the submap to others.
     fn set_travelled(&mut self, travel: &TravelGraph, lengths: &Lengths, policy: LoopSearchPolicy) {
         if let SearchRegion::Window { travelled, window, .. } = &mut self.region {
             let of_node = travel.submap_of(self.node_id);
@@ -46,20 +45,20 @@ impl<S: Space> SearchTask<S> {
     }
 }
 
-/// How many pairs were tried and found.
+/// Numbers of pairs that were searched and found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SearchCounts {
-    /// Pairs tried in a window.
+    /// Pairs searched in a window.
     pub window_searched: u64,
     /// Pairs found in a window.
     pub window_found: u64,
-    /// Pairs tried in a whole submap.
+    /// Pairs searched in a whole submap.
     pub whole_submap_searched: u64,
     /// Pairs found in a whole submap.
     pub whole_submap_found: u64,
 }
 
-/// Collects pairs, and tries all of them at the next [`ConstraintSearch::run`].
+/// Collects pairs, and matches all of them at the next [`ConstraintSearch::run`].
 ///
 /// Results come in the order in which the pairs were added, so that they do not depend on the number
 /// of threads.
@@ -71,12 +70,12 @@ pub struct ConstraintSearch<S: Space> {
     spacings: BTreeMap<SubmapId, Spacing>,
     matchers: MatcherCache<S>,
     counts: SearchCounts,
-    /// Once it is asked for, pairs are dropped instead of tried.
+    /// Once it is requested, pairs are dropped instead of matched.
     stop: Stop,
 }
 
 impl<S: Space> ConstraintSearch<S> {
-    /// Nothing to try yet.
+    /// Without pairs.
     pub fn new(options: ConstraintBuilderOptions, stop: Stop) -> Self {
         Self {
             samplers: Samplers::new(options.sampling_ratio),
@@ -90,12 +89,13 @@ impl<S: Space> ConstraintSearch<S> {
         }
     }
 
-    /// How far and how often to search. To be set before anything is added.
+    /// Sets the search windows and rate. To be called before anything is added.
     pub fn set_policy(&mut self, policy: LoopSearchPolicy) {
         self.policy = policy;
     }
 
-    /// Adds a pair whose relative pose is roughly known, if its turn in the submap's sampling has come. `way` is how far the node is along its trajectory, metres.
+    /// Adds a pair whose relative pose is roughly known, if the sampling of the submap selects it. `way` is
+    /// the distance of the node along its trajectory, metres.
     pub fn add_local(
         &mut self,
         (submap_id, submap): (SubmapId, &Arc<S::Submap>),
@@ -115,7 +115,7 @@ impl<S: Space> ConstraintSearch<S> {
         self.add_unsampled((submap_id, submap), (node_id, node), guess_submap_from_node);
     }
 
-    /// Adds a pair whose relative pose is roughly known, in any case.
+    /// Adds a pair whose relative pose is roughly known, without sampling.
     pub fn add_unsampled(
         &mut self,
         (submap_id, submap): (SubmapId, &Arc<S::Submap>),
@@ -130,12 +130,13 @@ impl<S: Space> ConstraintSearch<S> {
         self.push(submap_id, submap, node_id, node, guess_submap_from_node, region);
     }
 
-    /// The pairs that wait whose relative pose is roughly known.
+    /// The waiting pairs whose relative pose is roughly known.
     pub(super) fn waiting_pairs(&self) -> impl Iterator<Item = (SubmapId, NodeId)> {
         self.tasks.iter().filter(|task| is_window(task.region)).map(|task| (task.submap_id, task.node_id))
     }
 
-    /// Adds a pair whose relative pose is unknown, but where a search of the whole map proposed one.
+    /// Adds a pair whose relative pose is unknown, to be matched around a pose that a search of the whole map
+    /// proposed.
     pub fn add_proposed(
         &mut self,
         (submap_id, submap): (SubmapId, &Arc<S::Submap>),
@@ -158,12 +159,12 @@ impl<S: Space> ConstraintSearch<S> {
         self.push(submap_id, submap, node_id, node, Rigid3::identity(), region);
     }
 
-    /// Whether pairs wait whose relative pose is unknown.
+    /// Whether there are waiting pairs whose relative pose is unknown.
     pub fn has_unplaced(&self) -> bool {
         self.tasks.iter().any(|task| !is_window(task.region))
     }
 
-    /// Tries the pairs whose relative pose is unknown, as [`Self::run`] does.
+    /// Matches the pairs whose relative pose is unknown, as [`Self::run`] does.
     pub(crate) fn run_unplaced(&mut self, remembered: &Remembered) -> Vec<Constraint> {
         let (unplaced, others) =
             std::mem::take(&mut self.tasks).into_iter().partition(|t| !is_window(t.region));
@@ -190,13 +191,13 @@ impl<S: Space> ConstraintSearch<S> {
         });
     }
 
-    /// Pairs tried and found so far.
+    /// Pairs searched and found so far.
     pub fn counts(&self) -> SearchCounts {
         self.counts
     }
 
-    /// Tries all pairs on the threads of the current pool and returns the constraints found, in the
-    /// order in which the pairs were added. `travel` tells how far nodes are from submaps by now.
+    /// Matches all pairs on the threads of the current pool and returns the constraints found, in the order
+    /// in which the pairs were added. `travel` gives the current path lengths between nodes and submaps.
     pub(crate) fn run(&mut self, travel: &TravelGraph, remembered: &Remembered) -> Vec<Constraint> {
         let tasks = std::mem::take(&mut self.tasks);
         self.run_tasks(tasks, travel, remembered)
@@ -212,7 +213,7 @@ impl<S: Space> ConstraintSearch<S> {
         for (index, task) in tasks.iter().enumerate() {
             by_submap.entry(task.submap_id).or_default().push(index);
         }
-        // One submap after the other, so that only as many matchers are in memory as there are threads.
+        // One submap after the other, so that no more matchers are in memory than there are threads.
         let groups: Vec<(SubmapId, Vec<usize>)> = by_submap.into_iter().collect();
         for (submap_id, members) in &groups {
             let lengths = travel.lengths_from(*submap_id);
@@ -246,7 +247,8 @@ impl<S: Space> ConstraintSearch<S> {
         found.into_iter().filter_map(|(_, result)| result).collect()
     }
 
-    /// Tries tasks of one submap, but those whose results are remembered. Gives nothing of those that were dropped.
+    /// Matches the tasks of one submap, except those whose results are cached. Returns nothing for dropped
+    /// tasks.
     fn search_submap(
         &self,
         submap_id: SubmapId,
@@ -265,7 +267,7 @@ impl<S: Space> ConstraintSearch<S> {
             (*i, *task, question, outcome)
         });
         let pending: Vec<_> = pending.collect();
-        // What is needed for searching takes long to make.
+        // The matcher is expensive to build.
         let unknown = pending.iter().find(|(.., nearby)| *nearby == Nearby::Unknown);
         let matcher =
             unknown.and_then(|(_, task, ..)| self.matchers.get_or_build(submap_id, &task.submap, options));
@@ -281,8 +283,8 @@ impl<S: Space> ConstraintSearch<S> {
         found.collect()
     }
 
-    /// Which tasks need not be tried: those out of reach by the way since the submap was last seen, and most
-    /// of those that would tell little, because the path over other loop closures is short.
+    /// Which tasks to skip: those out of reach for the path length since the submap was last seen, and most
+    /// of those with little information, because the path over other loop closures is short.
     fn skip_needless(&mut self, tasks: &[SearchTask<S>]) -> Vec<bool> {
         let policy = self.policy;
         let farthest = self.options.max_constraint_distance;
@@ -310,14 +312,14 @@ impl<S: Space> ConstraintSearch<S> {
         *hits += u64::from(found);
     }
 
-    /// Forgets what was precomputed for a submap, and restarts its sampling.
+    /// Drops the matcher of a submap, and restarts its sampling.
     pub fn delete_matcher(&mut self, submap_id: SubmapId) {
         self.matchers.remove(&submap_id);
         self.samplers.forget(&submap_id);
         self.spacings.remove(&submap_id);
     }
 
-    /// Drops waiting pairs of a submap that is about to go.
+    /// Drops the waiting pairs for which `concerns` is true, as those of a submap that is removed.
     pub fn forget_tasks(&mut self, mut concerns: impl FnMut(SubmapId, NodeId) -> bool) {
         self.tasks.retain(|task| !concerns(task.submap_id, task.node_id));
     }
@@ -359,7 +361,7 @@ fn constraint_of<S: Space>(
     }
 }
 
-/// Logs how well nodes matched, apart for the two ways of searching.
+/// Logs the scores of matches, separately for the two kinds of search.
 fn log_scores(regions: impl Iterator<Item = SearchRegion>, found: &[(usize, Option<Constraint>)]) {
     if !tracing::enabled!(tracing::Level::INFO) {
         return;

@@ -1,10 +1,11 @@
-//! Shortest ways over a graph whose ways have lengths that add up.
+//! Shortest paths over a graph with additive edge lengths (Dijkstra).
 
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BinaryHeap};
 
-/// How long the shortest ways are from `start` to all places that ways no longer than `longest` lead to (Dijkstra).
-/// `ways` tells which places are next to one, and how long the ways there are, none of them shorter than nothing.
+/// Lengths of the shortest paths from `start` to all places that paths no longer than `longest` lead to
+/// (Dijkstra). `ways` gives the neighbours of a place and the lengths of the edges to them, none of them
+/// negative.
 pub(super) fn shortest_ways<K: Ord + Copy, W: IntoIterator<Item = (K, f64)>>(
     start: K,
     longest: f64,
@@ -26,7 +27,7 @@ pub(super) fn shortest_ways<K: Ord + Copy, W: IntoIterator<Item = (K, f64)>>(
     lengths
 }
 
-/// The nearest is the greatest.
+/// Ordered so that the nearest is the greatest, for a max-heap.
 struct Reached<K> {
     length: f64,
     at: K,

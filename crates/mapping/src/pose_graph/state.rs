@@ -1,4 +1,4 @@
-//! What the pose graph holds.
+//! State of the pose graph: trajectories, submaps, nodes and constraints.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use super::TrimmedNodes;
 use crate::{Constraint, LocalSlamSpace, Node, NodeData, NodeId, Space, SubmapId, TrajectoryId};
 use portolan_local_slam::OdometryBridge;
 
-/// Life of a trajectory.
+/// State of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TrajectoryState {
     /// Still receives data.
@@ -23,14 +23,14 @@ pub enum TrajectoryState {
     Deleted,
 }
 
-/// Where a new trajectory starts, relative to another one.
+/// Start of a new trajectory relative to another one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InitialTrajectoryPose {
     /// The trajectory that it refers to.
     pub to_trajectory_id: TrajectoryId,
     /// Pose of the new local map relative to the reference trajectory at `time`.
     pub relative_pose: Rigid3,
-    /// Where on the reference trajectory (clamped to its ends).
+    /// Time on the reference trajectory (clamped to its ends).
     pub time: Time,
 }
 
@@ -49,10 +49,10 @@ pub struct SubmapEntry<S: Space> {
     pub node_ids: BTreeSet<NodeId>,
 }
 
-/// Loop closures of a trajectory with others that went with trimmed nodes and submaps.
+/// Loop closures of a trajectory with others that were removed with trimmed nodes and submaps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrimmedTies {
-    /// How many.
+    /// Number of them.
     pub count: usize,
     /// Time of the earliest node of the trajectory that took part.
     pub first: Time,
@@ -63,22 +63,23 @@ pub struct TrimmedTies {
 pub struct Gap {
     /// The trajectory before it.
     pub before: TrajectoryId,
-    /// How well odometry tells the motion in it.
+    /// Uncertainty of the motion in it as measured by odometry.
     pub bridge: OdometryBridge,
-    /// The way over which poses drift as far as odometry may be off in the gap, metres; windows of loop searches follow it.
+    /// Path length over which poses drift as much as odometry may be off in the gap, metres; windows of loop
+    /// searches follow it.
     pub way: f64,
 }
 
-/// Everything known of one trajectory besides its nodes and submaps.
+/// Data of one trajectory besides its nodes and submaps.
 #[derive(Clone, Debug)]
 pub struct TrajectoryEntry {
-    /// Life.
+    /// State.
     pub state: TrajectoryState,
-    /// Where it starts, if that is known.
+    /// Its start, if that is known.
     pub initial_pose: Option<InitialTrajectoryPose>,
-    /// Where its local map is drawn as long as nothing else says where it lies.
+    /// Pose at which its local map is drawn as long as nothing else determines it.
     pub map_from_local_before_optimization: Option<Rigid3>,
-    /// The trajectory that it goes on after a gap, which odometry alone bridges.
+    /// The gap after which it continues another trajectory, bridged by odometry alone.
     pub after_gap: Option<Gap>,
     /// Index that the next node gets.
     pub next_node_index: u32,
@@ -113,11 +114,11 @@ pub struct GraphState<S: Space> {
     pub nodes: BTreeMap<NodeId, Node>,
     /// In order of arrival.
     pub constraints: Vec<Constraint>,
-    /// Which trajectories hang together.
+    /// Which trajectories are connected.
     pub connectivity: TrajectoryConnectivity,
-    /// Submap poses as the last optimisation left them; those not in it follow their trajectory.
+    /// Submap poses of the last optimisation; submaps not in it follow their trajectory.
     pub optimized_submaps: BTreeMap<SubmapId, Rigid3>,
-    /// Where the nodes were that trimmers removed. Files do not keep them.
+    /// Poses of the nodes that trimmers removed. Files do not keep them.
     pub trimmed_nodes: TrimmedNodes,
     /// By trajectory.
     pub trimmed_ties: BTreeMap<TrajectoryId, TrimmedTies>,
@@ -186,7 +187,7 @@ impl<S: Space> GraphState<S> {
         Some(reference.lookup_clamped(initial.time)? * initial.relative_pose)
     }
 
-    /// Global pose of a submap: optimised, or where its trajectory puts it.
+    /// Global pose of a submap: optimised, or else derived from its trajectory.
     pub fn map_from_submap(&self, id: SubmapId) -> Option<Rigid3> {
         let entry = self.submaps.get(&id)?;
         Some(

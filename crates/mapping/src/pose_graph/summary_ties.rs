@@ -1,25 +1,26 @@
-//! What a submap that goes had measured, as few constraints between the submaps that stay.
+//! Summarises the constraints of a removed submap as a few constraints between the submaps that stay.
 //!
-//! Eliminating its pose and those of its nodes would tie every two of its neighbours. The tree that a submap that many
-//! neighbours hang at makes of them keeps nearly all of that (Kretzschmar and Stachniss, "Information-theoretic compression
-//! of pose graphs for laser-based SLAM", IJRR 2012, §5): the neighbour that it is tied to best is tied to each of the others, as they lie. How strongly follows
-//! from the constraints on the way, as resistances in series; what says the same of a pair again adds up.
+//! Marginalising its pose and those of its nodes would tie every two of its neighbours. A tree keeps nearly
+//! all of that information (Kretzschmar and Stachniss, "Information-theoretic compression of pose graphs for
+//! laser-based SLAM", IJRR 2012, §5): the neighbour with the strongest tie is tied to each of the others, at
+//! their present relative poses. The strength follows from the constraints on the path, as resistances in
+//! series; repeated summaries of the same pair add up.
 
 use std::collections::BTreeMap;
 
 use super::PoseGraph;
 use crate::{Constraint, NodeId, Space, SubmapId};
 
-/// Neighbours that are tied, the best first.
+/// Maximum number of neighbours that are tied, the strongest first.
 const NEIGHBOURS: usize = 8;
-/// No pair is tied more strongly than by so many loop closures: errors of the same submap do not average out.
+/// Maximum strength of a tie, in loop closures: errors of the same submap do not average out.
 const STRONGEST: f64 = 25.0;
 
-/// Ties that were made, by submap and node: by how many loop closures each counts.
+/// Summary ties, by submap and node: their strength in loop closures.
 pub(super) type SummaryTies = BTreeMap<(SubmapId, NodeId), f64>;
 
 impl<S: Space> PoseGraph<S> {
-    /// Ties the neighbours of a submap that is about to go.
+    /// Ties the neighbours of a submap that is about to be removed.
     pub(super) fn summarise(&mut self, id: SubmapId) {
         let mut neighbours: Vec<(SubmapId, f64)> = self.neighbours(id).into_iter().collect();
         neighbours.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
@@ -29,7 +30,7 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    /// The submaps that share constraints with one, and by how many loop closures they are tied.
+    /// The submaps that share constraints with this one, and the strength of their ties in loop closures.
     fn neighbours(&self, id: SubmapId) -> BTreeMap<SubmapId, f64> {
         let mut neighbours: BTreeMap<SubmapId, f64> = BTreeMap::new();
         let Some(entry) = self.state.submaps.get(&id) else { return neighbours };
@@ -51,7 +52,7 @@ impl<S: Space> PoseGraph<S> {
         neighbours
     }
 
-    /// Ties one submap to the node in the middle of another, or ties them more strongly.
+    /// Ties one submap to the middle node of another, or strengthens that tie.
     fn add_summary(&mut self, submap_id: SubmapId, other: SubmapId, strength: f64) {
         let nodes = self.state.submaps.get(&other).map(|entry| &entry.node_ids);
         let Some(node_id) = nodes.and_then(|nodes| nodes.iter().nth(nodes.len() / 2).copied()) else {
@@ -79,7 +80,7 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    /// Forgets ties of which an end is gone.
+    /// Forgets ties one end of which was removed.
     pub(super) fn forget_summaries(&mut self) {
         let state = &self.state;
         self.summaries

@@ -1,8 +1,8 @@
-//! How far the scanner travelled between a node and a submap.
+//! Computes the odometric path length between a node and a submap.
 //!
-//! What two places are off against each other grows with the path between them, and starts afresh where a
-//! loop is closed: the shortest way over the trajectory and over loop closures tells how widely a node has
-//! to be searched.
+//! The relative error of two places grows with the path between them, and is reset where a loop is closed. So
+//! the length of the shortest path over the trajectory and over loop closures determines the search window of
+//! a node.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,25 +11,25 @@ use crate::{NodeId, Space, SubmapId, of_trajectory};
 use super::shortest_ways::shortest_ways;
 use super::state::GraphState;
 
-/// A loop closure counts as a path of so many metres: it is no more exact than that much of a trajectory.
+/// Path length that a loop closure counts as, metres: it is no more accurate than that much of a trajectory.
 const LENGTH_OF_LOOP_CLOSURE: f64 = 2.0;
 
 /// Submaps and the paths between neighbouring ones, metres.
 #[derive(Clone, Debug, Default)]
 pub(super) struct TravelGraph {
     neighbours: Neighbours,
-    /// Loop closures that leave a direction open tie headings, but not places.
+    /// Loop closures with a degenerate direction; they constrain headings, but not positions.
     open: Neighbours,
-    /// Nodes that do not tell where along a corridor they are.
+    /// Nodes whose scans do not constrain their position along a corridor.
     pub open_nodes: BTreeSet<NodeId>,
     /// The first submap that each node was inserted into.
     submap_of_node: BTreeMap<NodeId, SubmapId>,
 }
 
 impl TravelGraph {
-    /// The ways in a map as it is: from each submap to the next of its trajectory, and where loop closures
-    /// lead. `ways` are how far nodes are along their trajectories, metres: where submaps between were dropped, the way there
-    /// was longer than the straight line.
+    /// The paths in the present map: from each submap to the next of its trajectory, and over loop closures.
+    /// `ways` are the distances of nodes along their trajectories, metres: where submaps between were
+    /// dropped, the path was longer than the straight line.
     pub fn new<S: Space>(state: &GraphState<S>, ways: &BTreeMap<NodeId, f64>) -> Self {
         let way = |entry: &crate::SubmapEntry<S>| ways.get(entry.node_ids.first()?).copied();
         let mut graph = Self::default();
@@ -76,7 +76,7 @@ impl TravelGraph {
         self.submap_of_node.get(&node_id).copied()
     }
 
-    /// The shortest ways from one submap to all that can be reached, metres.
+    /// Lengths of the shortest paths from one submap to all that can be reached, metres.
     pub fn lengths_from(&self, start: SubmapId) -> Lengths {
         let place = shortest(start, &[&self.neighbours], f64::INFINITY);
         let heading = || shortest(start, &[&self.neighbours, &self.open], f64::INFINITY);
@@ -84,39 +84,39 @@ impl TravelGraph {
         Lengths { place, heading }
     }
 
-    /// Whether any loop closure leaves a direction open.
+    /// Whether any loop closure has a degenerate direction.
     pub fn has_open_ties(&self) -> bool {
         !self.open.is_empty()
     }
 
-    /// Whether the place of a node in a submap is tied by a way of at most so many metres.
+    /// Whether the position of a node in a submap is constrained over a path of at most `longest` metres.
     pub fn is_tied(&self, (submap_id, node_id): (SubmapId, NodeId), longest: f64) -> bool {
         let reached = || shortest(submap_id, &[&self.neighbours], longest);
         self.submap_of(node_id).is_some_and(|of_node| reached().contains_key(&of_node))
     }
 }
 
-/// The shortest ways from a submap to others.
+/// Lengths of the shortest paths from a submap to others, metres.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Lengths {
     place: BTreeMap<SubmapId, f64>,
-    /// Over loop closures that leave a direction open, too; none where there are none.
+    /// Also over loop closures with a degenerate direction; none where there are none.
     heading: Option<BTreeMap<SubmapId, f64>>,
 }
 
 impl Lengths {
-    /// Over which the place drifts.
+    /// Path length over which the position drifts.
     pub fn of_place(&self, submap_id: SubmapId) -> Option<f64> {
         self.place.get(&submap_id).copied()
     }
 
-    /// Over which the heading drifts.
+    /// Path length over which the heading drifts.
     pub fn of_heading(&self, submap_id: SubmapId) -> Option<f64> {
         self.heading.as_ref().unwrap_or(&self.place).get(&submap_id).copied()
     }
 }
 
-/// Neighbouring submaps and the lengths of the ways between them, metres.
+/// Neighbouring submaps and the lengths of the paths between them, metres.
 type Neighbours = BTreeMap<SubmapId, BTreeMap<SubmapId, f64>>;
 
 fn connect(neighbours: &mut Neighbours, (a, b): (SubmapId, SubmapId), length: f64) {
@@ -127,7 +127,7 @@ fn connect(neighbours: &mut Neighbours, (a, b): (SubmapId, SubmapId), length: f6
     }
 }
 
-/// The shortest ways from one submap over the neighbours of all of these, up to `longest`.
+/// Lengths of the shortest paths from one submap over the neighbours of all of these, up to `longest`.
 fn shortest(start: SubmapId, neighbours: &[&Neighbours], longest: f64) -> BTreeMap<SubmapId, f64> {
     let next_to = |at: SubmapId| neighbours.iter().filter_map(move |n| n.get(&at)).flatten();
     shortest_ways(start, longest, |at| next_to(at).map(|(next, length)| (*next, *length)))

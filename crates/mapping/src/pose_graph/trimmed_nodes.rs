@@ -1,4 +1,4 @@
-//! Where nodes were that trimmers removed: the trajectory of a recording is not lost with them.
+//! Keeps the poses of nodes that trimmers removed: the trajectory of a recording is not lost with them.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -9,7 +9,7 @@ use portolan_spool::Spool;
 
 use crate::{Node, NodeId, TrajectoryId};
 
-/// What is left of a node that a trimmer removed.
+/// What is kept of a node that a trimmer removed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrimmedNode {
     /// Time of its scan.
@@ -24,36 +24,37 @@ pub struct TrimmedNode {
 #[derive(Clone, Debug, Default)]
 pub struct TrimmedNodes {
     nodes: Spool<Record>,
-    /// What moved trajectories as a whole after so many of the nodes were there; `None` removed them.
+    /// Motions of whole trajectories, each with the number of nodes that were there before; `None` removed
+    /// the trajectory.
     moves: Vec<(usize, TrajectoryId, Option<Rigid3>)>,
 }
 
-/// What a removed node moves with.
+/// The node with which a removed node moves.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Anchor {
-    /// A node that was there when it was removed.
+    /// A node that still existed when the other was removed.
     pub node: NodeId,
     /// Pose of the tracking frame in that of the other node.
     pub anchor_from_tracking: Rigid3,
 }
 
 impl TrimmedNodes {
-    /// Lets nodes wait in a file in this folder from now on. To be called before there are any.
+    /// Keeps nodes in a file in this folder from now on. To be called before there are any.
     pub fn keep_in(&mut self, folder: &Path) {
         if self.nodes.is_empty() {
             self.nodes = Spool::in_folder(folder);
         }
     }
 
-    /// How many nodes were removed.
+    /// Number of removed nodes.
     pub fn len(&self) -> usize {
         self.nodes.len()
     }
 
-    /// Whether all that was asked for so far could be told.
+    /// Whether all requests so far could be answered.
     ///
     /// # Errors
-    /// The file in which nodes wait could not be read again.
+    /// The file in which nodes are kept could not be read again.
     pub fn whole(&self) -> std::io::Result<()> {
         self.nodes.whole()
     }
@@ -63,9 +64,9 @@ impl TrimmedNodes {
         self.nodes.is_empty()
     }
 
-    /// The nodes of a trajectory as they lie by now, where other nodes lie as `kept` says.
+    /// The nodes of a trajectory at their present poses, where other nodes are at the poses in `kept`.
     pub fn of(&self, id: TrajectoryId, kept: &BTreeMap<NodeId, Node>) -> BTreeMap<NodeId, TrimmedNode> {
-        // What a node moves with went later or is there still.
+        // The anchor of a node was removed later or still exists.
         let mut lie: BTreeMap<NodeId, TrimmedNode> = BTreeMap::new();
         let records: Vec<Record> = self.nodes.iter().collect();
         for (index, Record(id, node, anchor)) in records.into_iter().enumerate().rev() {
@@ -81,7 +82,7 @@ impl TrimmedNodes {
         lie
     }
 
-    /// A node as it lies by now.
+    /// A node at its present pose.
     fn moved(&self, index: usize, id: NodeId, node: TrimmedNode) -> Option<TrimmedNode> {
         let later = self.moves.iter().filter(|(count, of, _)| index < *count && *of == id.trajectory_id);
         later.map(|(.., by)| *by).try_fold(node, |node, by| {

@@ -1,4 +1,4 @@
-//! Removing submaps that are not needed any more (`slam2d.md` §14.7).
+//! Removes submaps that are not needed any more (`slam2d.md` §14.7).
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -11,10 +11,10 @@ use super::visible_cells::VisibleCells;
 use super::{GraphState, PoseGraph, TrajectoryState, TrimmedNode, TrimmedTies};
 use crate::{Constraint, ConstraintTag, Node, NodeId, Space, SubmapId, TrajectoryId};
 
-/// How the places of removed nodes are kept.
+/// How the poses of removed nodes are kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Remains {
-    /// As they are in the map.
+    /// As poses in the map.
     Fixed,
     /// Relative to a node that stays.
     Anchored,
@@ -51,7 +51,7 @@ impl Trimmer {
     }
 }
 
-/// How many cells of each submap are seen.
+/// Number of visible cells of each submap.
 pub(super) struct SeenAreas {
     pub cells: BTreeMap<SubmapId, u64>,
     /// Edge of a cell, metres.
@@ -59,7 +59,7 @@ pub(super) struct SeenAreas {
 }
 
 impl SeenAreas {
-    /// Whether less than an area of a submap is seen, square metres.
+    /// Whether less than `area` of a submap is visible, square metres.
     pub fn too_little(&self, id: &SubmapId, area: f64) -> bool {
         let needed = (area / (self.cell_size * self.cell_size)).floor().max(1.0);
         (self.cells.get(id).copied().unwrap_or(0) as f64) < needed
@@ -67,12 +67,13 @@ impl SeenAreas {
 }
 
 impl<S: Space> PoseGraph<S> {
-    /// Adds what removes superfluous submaps after each optimisation.
+    /// Adds a trimmer that removes superfluous submaps after each optimisation.
     pub fn add_trimmer(&mut self, trimmer: Trimmer) {
         self.trimmers.push(trimmer);
     }
 
-    /// Lets what stays of removed nodes wait in a file in this folder instead of memory. To be set before anything is added.
+    /// Keeps the poses of removed nodes in a file in this folder instead of memory. To be called before
+    /// anything is added.
     pub fn spool_in(&mut self, folder: &Path) {
         self.state.trimmed_nodes.keep_in(folder);
     }
@@ -85,7 +86,7 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    /// Runs a trimmer once and gives it back unless its work is done.
+    /// Runs a trimmer once and returns it unless its work is done.
     fn run_trimmer(&mut self, trimmer: Trimmer) -> Option<Trimmer> {
         match trimmer {
             Trimmer::PureLocalization { trajectory_id, keep } => {
@@ -137,7 +138,7 @@ impl<S: Space> PoseGraph<S> {
             .collect()
     }
 
-    /// Submaps of which too little is seen: every cell of the map counts for its freshest submaps only.
+    /// Submaps of which too little is visible: every cell of the map counts for its freshest submaps only.
     fn covered_submaps(
         &self,
         freshness: &BTreeMap<SubmapId, Option<Time>>,
@@ -154,8 +155,8 @@ impl<S: Space> PoseGraph<S> {
         freshness.keys().filter(is_hidden).copied().collect()
     }
 
-    /// How much of each submap is seen if every cell of the map counts for the first so many that know it; none where
-    /// coverage is not defined.
+    /// Visible cells of each submap, if every cell of the map counts for the first `counted` submaps that
+    /// know it; none where coverage is not defined.
     pub(super) fn areas_seen(
         &self,
         freshest_first: impl Iterator<Item = SubmapId> + Clone,
@@ -236,7 +237,7 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    /// The node that lies nearest to a place, and the place in its frame.
+    /// The node nearest to a pose, and the pose in its frame.
     fn anchor(&self, map_from_tracking: &Rigid3) -> Option<Anchor> {
         let distance = |node: &Node| {
             (node.map_from_tracking.translation.vector - map_from_tracking.translation.vector).norm_squared()
@@ -248,7 +249,7 @@ impl<S: Space> PoseGraph<S> {
         })
     }
 
-    /// Counts the loop closures between trajectories that go with a submap of these nodes.
+    /// Counts the loop closures between trajectories that are removed together with a submap of these nodes.
     fn remember_ties(&mut self, of_submap: &BTreeSet<NodeId>, goes: impl Fn(&Constraint) -> bool) {
         let submap_since = of_submap.iter().find_map(|id| self.state.nodes.get(id)).map(|n| n.data.time);
         let GraphState { constraints, nodes, trimmed_ties, .. } = &mut self.state;

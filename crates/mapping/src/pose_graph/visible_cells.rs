@@ -1,17 +1,17 @@
-//! What is left visible of submaps where others lie over them.
+//! Computes which cells of submaps remain visible where others overlap them.
 
 use std::collections::{BTreeSet, HashMap};
 use std::hash::Hash;
 
-/// Which cells of the map are visible in submaps that are taken one after another, uppermost first: each cell in the first so
-/// many that cover it.
+/// Visible cells of submaps that are stacked one after another, uppermost first: each cell is visible in the
+/// first submaps that cover it, up to a given number.
 pub(super) struct VisibleCells<C> {
     covering: HashMap<C, usize>,
     most: usize,
 }
 
 impl<C: Copy + Eq + Hash> VisibleCells<C> {
-    /// For cells that are visible in at most so many submaps.
+    /// With cells that are visible in at most this number of submaps.
     pub fn in_first(most: usize) -> Self {
         Self { covering: HashMap::new(), most }
     }

@@ -1,4 +1,4 @@
-//! Branch and bound, the most promising box first; the same in 2D and in 3D.
+//! Best-first branch and bound, in 2D and in 3D.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -7,10 +7,10 @@ use super::bucket_queue::BucketQueue;
 
 /// Boxes of placements that can be bounded and split.
 pub(crate) trait Branching {
-    /// One placement of a scan. The order decides among boxes that promise the same.
+    /// One placement of a scan. The order decides among boxes with the same bound.
     type Placement: Copy + Ord;
 
-    /// Hands on all boxes of the search that may hold something better than `best`. Boxes of one placement
+    /// Passes on all boxes of the search that may hold something better than `best`. Boxes of one placement
     /// are offered to `best` instead.
     fn roots(&mut self, best: &mut Best<Self::Placement>, hand_on: &mut dyn FnMut(Node<Self::Placement>));
 
@@ -28,14 +28,14 @@ pub(crate) trait Branching {
 pub(crate) struct Best<P> {
     score: f32,
     placements: Vec<P>,
-    /// How many boxes were split whose bound only equalled the best score.
+    /// Number of boxes that were split although their bound only equalled the best score.
     tied_boxes: u32,
     max_ties: usize,
     /// Look-ups of cells that may still be made.
     lookups_left: u64,
-    /// Everything nearly as good as the best, where that is wanted.
+    /// All placements nearly as good as the best, if wanted.
     several: Option<Several<P>>,
-    /// Placements that were offered and wait for their turn, where they are wanted in order.
+    /// Placements that were offered and wait in order of score, if wanted.
     in_order: Option<Vec<Node<P>>>,
 }
 
@@ -48,7 +48,7 @@ struct Several<P> {
     found: Vec<(f32, P)>,
 }
 
-/// Of more placements than this the better half is kept.
+/// Maximum number of placements; of more the better half is kept.
 const MAX_SEVERAL: usize = 1 << 17;
 
 impl<P: Copy + Ord> Several<P> {
@@ -71,20 +71,20 @@ impl<P: Copy + Ord> Several<P> {
     }
 }
 
-/// After this many boxes whose bound only equals the best score, equal placements are no longer looked
-/// for: on a plateau there would be no end of them.
+/// Number of boxes whose bound only equals the best score after which equal placements are no longer
+/// searched: on a plateau their number would be unbounded.
 const MAX_TIED_BOXES: u32 = 1 << 16;
-/// After this many equal placements no more are collected.
+/// Maximum number of equal placements that are collected.
 const MAX_TIES: usize = 1 << 16;
-/// After so many look-ups of cells a search is given up and finds nothing: some 0.6 s, several times what the widest searches of
-/// real scans in buildings take. Along a road where everything looks alike, and in grids and clouds that no sensor made, there
-/// would be no end.
+/// Look-ups of cells after which a search is given up and finds nothing: some 0.6 s, several times the time
+/// of the widest searches of real scans in buildings. Along a road where everything looks alike, and in grids
+/// and clouds that no sensor made, a search would not end.
 const MAX_LOOKUPS: u64 = 1 << 29;
-/// How many boxes may wait at the same time: some 30 MB.
+/// Maximum number of waiting boxes: some 30 MB.
 const MAX_WAITING: usize = 1 << 20;
 
 impl<P: Copy + Ord> Best<P> {
-    /// Nothing yet; only scores above `min_score` count, and all placements with the best one are wanted.
+    /// An empty result; only scores above `min_score` count, and all placements with the best one are wanted.
     pub fn above(min_score: f32) -> Self {
         Self {
             score: min_score,
@@ -97,20 +97,20 @@ impl<P: Copy + Ord> Best<P> {
         }
     }
 
-    /// Nothing yet; wanted is what scores above `min_score`, placement by placement from the best one down. After so many
-    /// look-ups of cells the search ends with what it has.
+    /// An empty result; all placements with scores above `min_score` are wanted, from the best one down.
+    /// After `lookups` look-ups of cells the search ends with what it has.
     pub fn in_order_above(min_score: f32, lookups: u64) -> Self {
         Self { lookups_left: lookups, in_order: Some(Vec::new()), ..Self::above(min_score) }
     }
 
-    /// Nothing yet; wanted is all that scores above `min_score` and above `share` of the best score. After
-    /// so many look-ups of cells the search ends with what it has.
+    /// An empty result; all placements that score above `min_score` and above `share` of the best score are
+    /// wanted. After `lookups` look-ups of cells the search ends with what it has.
     pub fn several_above(min_score: f32, share: f32, lookups: u64) -> Self {
         let several = Some(Several { share, floor: min_score, found: Vec::new() });
         Self { lookups_left: lookups, several, ..Self::above(min_score) }
     }
 
-    /// Nothing yet; only scores above `min_score` count, and one placement with the best one is enough.
+    /// An empty result; only scores above `min_score` count, and one placement with the best one is enough.
     pub fn single_above(min_score: f32) -> Self {
         Self { max_ties: 1, ..Self::above(min_score) }
     }
@@ -140,7 +140,7 @@ impl<P: Copy + Ord> Best<P> {
         collected > 0 && self.tied_boxes < MAX_TIED_BOXES && collected < self.max_ties
     }
 
-    /// Takes a placement into account.
+    /// Adds a placement with its score.
     pub fn offer(&mut self, placement: P, score: f32) {
         if let Some(several) = &mut self.several {
             several.offer(placement, score);
@@ -166,7 +166,7 @@ impl<P: Copy + Ord> Best<P> {
         (self.score, self.placements)
     }
 
-    /// All placements that were wanted with their scores, the best first.
+    /// All wanted placements with their scores, the best first.
     fn finish_several(self) -> Vec<(f32, P)> {
         let Some(mut several) = self.several else { return Vec::new() };
         several.sort();
@@ -175,8 +175,8 @@ impl<P: Copy + Ord> Best<P> {
     }
 }
 
-/// A box that waits to be split. The greatest is split next: that with the largest bound, among equals
-/// the smallest box, then the first one.
+/// A waiting box. The greatest is split next: that with the largest bound, among equals the smallest box,
+/// then the first one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Node<P> {
     /// No placement in the box scores more.
@@ -202,8 +202,8 @@ impl<P: Ord> PartialOrd for Node<P> {
     }
 }
 
-/// Searches until nothing can change `best` any more. The best score and the placements that have it, in
-/// their order; none if none is better than what `best` started with.
+/// Searches until nothing can change `best` any more. Returns the best score and the placements that have it,
+/// in their order; none if none is better than the start of `best`.
 pub(crate) fn best_first<B: Branching>(
     boxes: &mut B,
     mut best: Best<B::Placement>,
@@ -212,7 +212,7 @@ pub(crate) fn best_first<B: Branching>(
     best.finish()
 }
 
-/// As [`best_first`] with what [`Best::several_above`] started: everything that was wanted, the best first.
+/// As [`best_first`] with a result started by [`Best::several_above`]: all wanted placements, the best first.
 pub(crate) fn best_first_several<B: Branching>(
     boxes: &mut B,
     mut best: Best<B::Placement>,
@@ -231,20 +231,20 @@ fn search_best_first<B: Branching>(boxes: &mut B, best: &mut Best<B::Placement>)
     }
 }
 
-/// Who takes placements from the best one down.
+/// Receiver of placements from the best one down.
 pub(crate) trait Taker<P> {
-    /// Whether nothing in this box is wanted, because of what was taken already.
+    /// Whether no placement of this box is wanted, given those taken already.
     fn is_needless(&self, node: &Node<P>) -> bool;
 
-    /// Takes the best placement that is left. From then on only larger scores than the one returned are wanted; none: it is
-    /// enough.
+    /// Takes the best placement that is left. Returns the score above which further placements are wanted;
+    /// none if no more are.
     fn take(&mut self, score: f32, placement: P) -> Option<f32>;
 }
 
-/// Hands over placements from the best one down, without looking at more boxes than the last one needs; no score is above 1.
-/// Those that were `found` before wait for their turn from the beginning, so that they are handed over even if the look-ups
-/// that [`Best::in_order_above`] allows are too few to look at all that is wanted. Returns how many of these are left; none
-/// if they were too few.
+/// Passes placements to `taker` from the best one down, without looking at more boxes than the last one
+/// needs; no score is above 1. Those in `found` wait in order from the beginning, so that they are passed on
+/// even if the look-ups that [`Best::in_order_above`] allows are too few for the whole search. Returns the
+/// number of look-ups left; zero if they were too few.
 pub(crate) fn best_first_in_order<B: Branching>(
     boxes: &mut B,
     mut best: Best<B::Placement>,
@@ -264,7 +264,7 @@ pub(crate) fn best_first_in_order<B: Branching>(
             continue;
         }
         if node.exponent > 0 {
-            // Once the look-ups are used up only placements are left to be handed over.
+            // Once the look-ups are used up only placements are passed on.
             if best.lookups_left > 0 {
                 boxes.split(&node, &mut best, &mut |part| waiting.push(part));
             }
@@ -277,8 +277,9 @@ pub(crate) fn best_first_in_order<B: Branching>(
     }
 }
 
-/// Searches in bounded time what [`Best::in_order_above`] started: of the boxes of each size only the `width` most promising ones are
-/// split. Gives all placements that it came upon, in no order. What is best may be missed where everything looks alike.
+/// Greedy (beam) search in bounded time for a result started by [`Best::in_order_above`]: of the boxes of
+/// each size only the `width` most promising ones are split. Returns all placements that it found, in no
+/// order. The best one may be missed where everything looks alike.
 pub(crate) fn beam_several<B: Branching>(
     boxes: &mut B,
     mut best: Best<B::Placement>,
@@ -308,8 +309,8 @@ fn search_beam<B: Branching>(boxes: &mut B, best: &mut Best<B::Placement>, width
     }
 }
 
-/// Splits a box. Its parts wait, too, unless very many do: then they are split at once, which finds the
-/// same but keeps memory in bounds.
+/// Splits a box. Its parts wait, too, unless very many already do: then they are split at once, which finds
+/// the same but bounds memory.
 fn split<B: Branching>(
     boxes: &mut B,
     node: &Node<B::Placement>,

@@ -1,14 +1,14 @@
-//! Boxes of a search that wait to be split, roughly the most promising first.
+//! Priority queue of boxes of a search, roughly the most promising first.
 //!
-//! A heap of millions of boxes costs more than looking at them, because each of its steps is somewhere else in memory.
-//! Sorting boxes into a thousand classes by their bound costs nothing, and serves as well: a search splits all boxes of a
-//! class anyway before it knows that a placement of that class is the best.
+//! A heap of millions of boxes costs more than scoring them, because each of its steps is somewhere else in
+//! memory. Sorting boxes into a thousand classes by their bound costs nothing, and is as good: a search
+//! splits all boxes of a class anyway before it can be sure that a placement of that class is the best.
 
 use super::best_first::Node;
 
 /// Classes between the least bound and the largest.
 const CLASSES: usize = 1024;
-/// So many boxes wait at most, some 40 MB; further ones are split at once, which finds the same.
+/// Maximum number of waiting boxes, some 40 MB; further ones are split at once, which finds the same.
 const MAX_WAITING: usize = 1 << 21;
 
 /// Boxes and single placements with bounds in classes.
@@ -16,7 +16,7 @@ pub(super) struct BucketQueue<P> {
     lowest: f32,
     classes_per_unit: f32,
     classes: Vec<Class<P>>,
-    /// No higher class has anything.
+    /// All higher classes are empty.
     highest: usize,
     waiting: usize,
 }
@@ -29,7 +29,7 @@ struct Class<P> {
 }
 
 impl<P: Copy + Ord> BucketQueue<P> {
-    /// For bounds from `lowest` to `highest`; what lies outside belongs to the classes at the ends.
+    /// For bounds from `lowest` to `highest`; bounds outside belong to the classes at the ends.
     pub fn new(lowest: f32, highest: f32) -> Self {
         let empty = Class { boxes: Vec::new(), placements: Vec::new(), is_sorted: false };
         let classes_per_unit = CLASSES as f32 / (highest - lowest).max(f32::EPSILON);

@@ -1,4 +1,4 @@
-//! Matching anywhere in a finished submap.
+//! Matches scans anywhere in a finished submap.
 
 use portolan_geometry::{Point3f, Rigid2, Vector2, normalize_angle};
 use portolan_grids::{Grid2d, MapLimits, is_finite, value::CODE_COUNT};
@@ -14,15 +14,15 @@ use crate::MatcherOptionError;
 
 mod order;
 
-/// Where a fast correlative matcher looks when it has a guess.
+/// Search window of a fast correlative matcher around a guess.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FastCorrelativeOptions2d {
     /// Metres to either side along each axis, default 7.
     pub linear_search_window: f64,
     /// Radians to either side, default 30°.
     pub angular_search_window: f64,
-    /// How many levels the search had in Cartographer, default 7. Here it only decides between
-    /// placements with exactly the same score.
+    /// Number of levels of the search in Cartographer, default 7. Here it only decides between placements
+    /// with exactly the same score.
     pub branch_and_bound_depth: u32,
 }
 
@@ -36,22 +36,23 @@ impl Default for FastCorrelativeOptions2d {
     }
 }
 
-/// Which places are wanted where there may be several.
+/// Criteria for several places.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SeveralPlaces {
-    /// Only placements with a larger score.
+    /// Minimum score.
     pub min_score: f32,
-    /// And with a larger share of the best score.
+    /// Minimum score as a fraction of the best score.
     pub share_of_best: f32,
-    /// Places nearer to each other, metres and radians, are one.
+    /// Separation below which two places count as one, metres and radians.
     pub separation: (f64, f64),
-    /// The most that are wanted.
+    /// Maximum number of places.
     pub most: usize,
-    /// The search ends after so many look-ups of cells with what it has; a thousand million take about a second.
+    /// Maximum number of look-ups of cells; the search then ends with what it has. A thousand million take
+    /// about a second.
     pub lookups: u64,
 }
 
-/// Depths up to this make sense: windows of 2^23 cells.
+/// Largest depth: windows of 2^23 cells.
 const MAX_DEPTH: u32 = 24;
 /// The search starts with boxes of 2^6 cells; the widest windows kept are twice as wide.
 const MAX_EXPONENT: u32 = 6;
@@ -133,7 +134,7 @@ impl FastCorrelativeMatcher2d {
         self.search(initial, points, min_score, linear, angular.min(std::f64::consts::PI))
     }
 
-    /// The same anywhere on the grid, at any angle.
+    /// As [`Self::match_local`], anywhere on the grid and at any angle.
     pub fn match_full(&self, points: &PointCloud, min_score: f32) -> Option<MatchResult<Rigid2>> {
         let (centre, everywhere) = self.everywhere();
         self.search(&centre, points, min_score, everywhere, std::f64::consts::PI)
@@ -146,8 +147,8 @@ impl FastCorrelativeMatcher2d {
         self.match_several_within(points, wanted, &centre.translation, everywhere)
     }
 
-    /// As [`Self::match_several`], with the origin of the points so many metres from a place on the grid, at most, along each
-    /// axis.
+    /// As [`Self::match_several`], with the origin of the points within `metres` of a place on the grid along
+    /// each axis.
     pub fn match_several_within(
         &self,
         points: &PointCloud,
@@ -172,7 +173,7 @@ impl FastCorrelativeMatcher2d {
         places
     }
 
-    /// The middle of the grid, and how far around it everything lies, metres.
+    /// The middle of the grid, and a distance around it that covers everything, metres.
     fn everywhere(&self) -> (Rigid2, f64) {
         let half_size = 0.5
             * self.limits.resolution()
@@ -219,7 +220,7 @@ impl FastCorrelativeMatcher2d {
         Some(MatchResult { score, pose: window.pose(initial, &placement) })
     }
 
-    /// How many points must be inside the grid for a score above `min_score`; none if all are too few.
+    /// Minimum number of points inside the grid for a score above `min_score`; none if all are too few.
     fn min_points_inside(&self, num_points: usize, min_score: f32) -> Option<usize> {
         let enough = |inside: usize| self.score.of(255 * inside as u32, num_points) > min_score;
         let (mut low, mut high) = (0, num_points);
@@ -236,7 +237,7 @@ fn is_near(a: &Rigid2, b: &Rigid2, wanted: &SeveralPlaces) -> bool {
     (a.translation - b.translation).norm() < metres && normalize_angle(a.angle - b.angle).abs() < radians
 }
 
-/// The mean of the bytes met, as a score.
+/// The mean of the bytes at the points, as a score.
 struct MeanByte {
     score: ByteScore,
     num_points: usize,

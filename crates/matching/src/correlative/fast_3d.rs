@@ -1,4 +1,4 @@
-//! Matching anywhere in a finished submap in 3D.
+//! Matches scans anywhere in a finished submap in 3D.
 
 use portolan_geometry::{Point3f, Quaternion, Rigid3, Rigid3f, to_f32, to_f64, yaw};
 use portolan_grids::value::{MAX_PROBABILITY, MIN_PROBABILITY};
@@ -22,17 +22,17 @@ mod scans;
 mod search;
 mod tiles;
 
-/// Where a fast correlative matcher in 3D looks when it has a guess, and what it asks of a match.
+/// Search window of a fast correlative matcher in 3D around a guess, and its acceptance criteria.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FastCorrelativeOptions3d {
     /// The search starts with boxes of 2^(this − 1) cells, default 8.
     pub branch_and_bound_depth: u32,
-    /// So many sizes of windows are kept for every cell, coarser ones for fewer cells; default 3. Raise it
+    /// Number of window sizes that are kept for every cell, coarser ones for fewer cells; default 3. Raise it
     /// for tighter bounds at the price of memory.
     pub full_resolution_depth: u32,
-    /// Yaws at which histograms of directions are less alike are not searched, default 0.77.
+    /// Minimum similarity of the histograms of directions; yaws below it are not searched; default 0.77.
     pub min_rotational_score: f64,
-    /// Mean probability that the coarse cloud needs in the coarse grid, default 0.55.
+    /// Minimum mean probability of the coarse cloud in the coarse grid, default 0.55.
     pub min_low_resolution_score: f64,
     /// Metres to either side along x and y of the submap, default 5.
     pub linear_xy_search_window: f64,
@@ -56,14 +56,14 @@ impl Default for FastCorrelativeOptions3d {
     }
 }
 
-/// Depths up to this make sense: windows of 2^23 cells.
+/// Largest depth: windows of 2^23 cells.
 const MAX_DEPTH: u32 = 24;
 /// The search never starts with boxes larger than 2^6 cells; the widest windows kept are twice as wide.
 const MAX_EXPONENT: u32 = 6;
-/// Histograms of more buckets are not compared.
+/// Maximum number of buckets of histograms that are compared.
 const MAX_BUCKETS: usize = 1 << 14;
 
-/// What is to be found in a submap.
+/// A node to be found in a submap.
 #[derive(Clone, Copy, Debug)]
 pub struct NodeToFind<'a> {
     /// Points for the fine grid, metres, in the tracking frame.
@@ -76,7 +76,7 @@ pub struct NodeToFind<'a> {
     pub gravity_alignment: Quaternion,
 }
 
-/// What of a submap is looked at besides the fine grid.
+/// Parts of a submap that are used besides the fine grid.
 #[derive(Clone, Copy, Debug)]
 pub struct SubmapToSearch<'a> {
     /// The coarse grid.
@@ -85,7 +85,7 @@ pub struct SubmapToSearch<'a> {
     pub rotational_histogram: &'a [f32],
 }
 
-/// How far around a guess is searched.
+/// Search window around a guess.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SearchReach3d {
     /// Metres to either side along x and y of the submap.
@@ -102,14 +102,14 @@ pub struct FastMatch3d {
     /// Pose of the node (tracking frame) in the submap, and the mean probability of the fine cells met, to
     /// 8 bits.
     pub found: MatchResult<Rigid3>,
-    /// How alike the directions of walls are, 0 to 1.
+    /// Similarity of the directions of walls, 0 to 1.
     pub rotational_score: f32,
     /// Mean probability of the coarse cells met.
     pub low_resolution_score: f32,
 }
 
-/// Finds the best placement of a node in a submap by branch and bound over yaw and translation, near a
-/// guess or anywhere (`slam3d.md` §6). Roll and pitch are taken from the node: gravity tells them.
+/// Finds the best placement of a node in a submap by branch and bound over yaw and translation, near a guess
+/// or anywhere (`slam3d.md` §6). Roll and pitch are taken from the node: gravity determines them.
 ///
 /// It does not refer to the grid it was made from. Only cells within ±7900 of the origin are searched, and
 /// only points within 8192 cells of the node count.
@@ -169,8 +169,8 @@ impl FastCorrelativeMatcher3d {
         self.pyramid.memory_bytes()
     }
 
-    /// The placement of a node near its believed pose with the largest score above `min_score`. Both poses
-    /// are in one frame with z pointing up, about which yaw is searched.
+    /// The placement of a node near its guess with the largest score above `min_score`. Both poses are in one
+    /// frame with z pointing up, about which yaw is searched.
     pub fn match_local(
         &self,
         map_from_node: &Rigid3,
@@ -205,8 +205,8 @@ impl FastCorrelativeMatcher3d {
         [cells(reach.linear_z).min(useful(2)), xy.min(useful(1)), xy.min(useful(0))]
     }
 
-    /// The same anywhere in the submap at any yaw; only the directions of gravity of the two rotations
-    /// count.
+    /// As [`Self::match_local`], anywhere in the submap at any yaw; only the directions of gravity of the two
+    /// rotations count.
     pub fn match_full(
         &self,
         map_from_node: &Quaternion,
@@ -328,7 +328,7 @@ fn max_exponent(options: &FastCorrelativeOptions3d) -> u32 {
     (options.branch_and_bound_depth - 1).min(MAX_EXPONENT)
 }
 
-/// How well a node fits a submap at a pose, with the scores that a search goes by.
+/// Scores of a node in a submap at a pose, the same as those of the search.
 pub fn judge_placement_3d(
     submap_from_node: &Rigid3,
     node: &NodeToFind<'_>,
@@ -349,7 +349,7 @@ pub fn judge_placement_3d(
     }
 }
 
-/// The mean probability of the cells that points meet; 0.1 without points.
+/// The mean probability of the cells at the points; 0.1 without points.
 pub(crate) fn mean_probability(points: &[Point3f], pose: &Rigid3f, grid: &HybridGrid) -> f32 {
     let probability = |p: &Point3f| {
         let cell = grid.cell_index(&(pose * p));

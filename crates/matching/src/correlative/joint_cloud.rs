@@ -1,10 +1,10 @@
-//! Scans along a stretch of way as one 2D cloud, to be found in a whole map.
+//! Joins the scans along a path segment into one 2D cloud, to be found in a whole map.
 
 use portolan_geometry::{Point3f, Rigid2, Vector2};
 use portolan_sensor::{PointCloud, voxel_filter_points};
 
-/// Points farther than this, metres, are left out of a joint cloud: they would ask for more headings, and the far end of a
-/// stretch of way is bent against where it is looked at from.
+/// Maximum range of points in a joint cloud, metres. Farther ones would need more headings, and the far end
+/// of a path segment is bent relative to the frame of the cloud.
 const REACH: f32 = 25.0;
 
 /// Scans in the frame in which their poses are given, at height 0, one point in each cell of this edge, metres.

@@ -1,4 +1,4 @@
-//! Branch and bound over angle and shift together.
+//! Branch and bound over angle and shift together, in 2D.
 
 use std::ops::Range;
 
@@ -9,7 +9,7 @@ use super::max_pyramid::MaxPyramid;
 use super::rotated_scans::RotatedScans;
 use super::search_window::SearchWindow;
 
-/// One placement of a scan: which angle, and by how many cells it is shifted.
+/// One placement of a scan: its angle, and its shift in cells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Placement {
     pub scan: i32,
@@ -24,7 +24,7 @@ pub(crate) struct Region {
     pub last: Placement,
 }
 
-/// What is maximised. `byte_sum` is the sum over the points of the bytes they meet.
+/// The objective that is maximised. `byte_sum` is the sum of the bytes at the points.
 pub(crate) trait Objective {
     /// No placement of `region` scores more, if none has a larger sum than `byte_sum`.
     fn bound(&self, byte_sum: u32, region: &Region) -> f32;
@@ -60,7 +60,7 @@ pub(crate) enum ShiftBounds {
     OriginInside { size: [i32; 2], origin: [i32; 2] },
 }
 
-/// Points with the same uncertainty of place within a group of angles.
+/// Points with the same uncertainty of position within a group of angles.
 #[derive(Clone, Debug)]
 struct Segment {
     points: Range<usize>,
@@ -119,14 +119,15 @@ impl<'a, O: Objective> JointSearch<'a, O> {
         best_first(self, Best::above(min_score))
     }
 
-    /// All placements that score above `min_score` and above `share` of the best score, the best first;
-    /// what was found by then after so many look-ups of cells.
+    /// All placements that score above `min_score` and above `share` of the best score, the best first; after
+    /// `lookups` look-ups of cells those found so far.
     pub fn run_several(&mut self, min_score: f32, share: f32, lookups: u64) -> Vec<(f32, Placement)> {
         best_first_several(self, Best::several_above(min_score, share, lookups))
     }
 
-    /// Hands over placements that score above `min_score`, none above 1, from the best one down, those that were `found`
-    /// before in any case. Returns how many of so many look-ups of cells are left; none if they were too few.
+    /// Passes on placements that score above `min_score`, none above 1, from the best one down, and those in
+    /// `found` in any case. Returns how many of `lookups` look-ups of cells are left; zero if they were too
+    /// few.
     pub fn run_in_order(
         &mut self,
         min_score: f32,
@@ -148,8 +149,8 @@ impl<'a, O: Objective> JointSearch<'a, O> {
         1 << exponent.max(self.leaf_exponent)
     }
 
-    /// Hands on the promising ones of the four boxes at `first` and its neighbours along x and y, as far
-    /// as they start before `end`. Boxes of one placement are scored at once instead.
+    /// Passes on the promising ones of the four boxes at `first` and its neighbours along x and y, as far as
+    /// they start before `end`. Boxes of one placement are scored at once instead.
     fn for_four_boxes(
         &mut self,
         first: Placement,

@@ -1,7 +1,7 @@
-//! The largest byte in every window of a grid, for windows of 1, 2, 3, 4, 6, 8, 12, … cells.
+//! Pyramid of the largest byte in every window of a grid, for windows of 1, 2, 3, 4, 6, 8, 12, … cells.
 
-/// For each width w, powers of two and one and a half times that, the grid of `max over [x, x+w) × [y, y+w)` of a grid of bytes, with one byte
-/// for all cells outside.
+/// For each width w, powers of two and one and a half times that, the grid of `max over [x, x+w) × [y, y+w)`
+/// of a grid of bytes, with one byte for all cells outside.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct MaxPyramid {
     levels: Vec<Level>,
@@ -55,7 +55,7 @@ impl MaxPyramid {
         self.levels.iter().map(|level| level.bytes.len()).sum()
     }
 
-    /// How many widths there are.
+    /// Number of widths.
     pub fn num_levels(&self) -> usize {
         self.levels.len()
     }

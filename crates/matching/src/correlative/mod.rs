@@ -1,9 +1,10 @@
-//! Matching by search: every placement of a scan within a window, without looking at most of them.
+//! Matches scans by search: finds the best of all placements of a scan within a window, without looking at
+//! most of them.
 //!
-//! All searches share one idea. Scans turned by neighbouring angles put each point into nearly the same
-//! cell, and the best value in a window of cells bounds the value in each of them. So a bound of the
-//! score of a whole box of placements (some angles × some shifts) costs as much as the score of one
-//! placement. Boxes are split eightfold as long as their bound is not below the best score found.
+//! All searches share one idea. Scans rotated by neighbouring angles put each point into nearly the same
+//! cell, and the best value in a window of cells bounds the value in each of them. So a bound of the score of
+//! a whole box of placements (some angles × some shifts) costs as much as the score of one placement. Boxes
+//! are split eightfold as long as their bound is not below the best score found.
 
 mod best_first;
 mod bucket_queue;
@@ -33,10 +34,10 @@ pub use real_time_2d::{RealTimeCorrelativeMatcher2d, RealTimeCorrelativeOptions}
 pub use real_time_3d::RealTimeCorrelativeMatcher3d;
 pub use rotational::{histogram_similarity, rotate_histogram, rotational_histogram};
 
-/// What a correlative matcher found.
+/// Result of a correlative matcher.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MatchResult<Pose> {
-    /// How well the scan fits, between 0 and 1; what it means is said by each matcher.
+    /// Score of the match, between 0 and 1; its meaning depends on the matcher.
     pub score: f32,
     /// The pose of the scan in the frame of the grid.
     pub pose: Pose,

@@ -1,4 +1,4 @@
-//! What a whole map says of places, in large cells.
+//! Merges all submaps of a map into one grid of large cells.
 
 use portolan_geometry::{Rigid2, Vector2};
 
@@ -6,20 +6,21 @@ use portolan_grids::{
     CellBox, CellIndex, FREE_CELL, Grid2d, GridError, MapLimits, SOLID_CELL, SURFACE_CELLS,
 };
 
-/// The most cells: 800 m by 800 m in cells of 20 cm; the pyramids over them take some 400 MB. Larger maps get larger cells.
+/// Maximum number of cells: 800 m by 800 m in cells of 20 cm; the pyramids over them take some 400 MB. Larger
+/// maps get larger cells.
 const MAX_CELLS: f64 = (1 << 24) as f64;
 
-/// What is known of a cell. What is solid in one grid is solid.
+/// Knowledge of a cell. A cell that is occupied in one grid is occupied.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Known {
     Nothing,
     Free,
-    /// Beside something solid: a scan that is placed to within a cell may end there.
+    /// Beside an occupied cell: a scan that is placed to within a cell may end there.
     BesideSolid,
     Solid,
 }
 
-/// What all grids of a map say together.
+/// All grids of a map, merged.
 pub(super) struct PlaceGrid {
     pub limits: MapLimits,
     /// In the order of [`MapLimits::flat_index`].

@@ -1,14 +1,15 @@
-//! Finding places in a whole map at once, without a guess.
+//! Place index: finds places in a whole map at once, without a guess.
 //!
-//! Searching submap by submap costs as much as there are submaps, and what was found in one spares nothing in the next.
-//! Here all of them are one grid of large cells, and one branch and bound goes through it, the most promising box first,
-//! until the best places are known; everything that promises less is never looked at. Two things make bounds tight enough
-//! for that: a point that ends in free space counts against a place, so that windows without walls promise less than
-//! nothing; and a scanner stands where the map knows free space, so that boxes without any are not looked at.
+//! The cost of searching submap by submap grows with their number, and a result in one saves nothing in the
+//! next. Here all submaps are one grid of large cells, and one branch and bound goes through it, best first,
+//! until the best places are known; boxes with smaller bounds are never looked at. Two things make the bounds
+//! tight enough for that. A point that ends in free space counts against a place, so that windows without
+//! walls have negative bounds. And a scanner stands where the map knows free space, so that boxes without any
+//! are not looked at.
 //!
-//! A greedy search goes first. Where the bounds tell good places from others, it finds them all, at a cost that hardly depends
-//! on the map; how many it finds depends on its width. The complete search proves that nothing is missed, at a cost that
-//! grows with the map.
+//! A greedy search goes first. Where the bounds separate good places from others, it finds them all, at a
+//! cost that hardly depends on the map; how many it finds depends on its width. The complete search proves
+//! that nothing is missed, at a cost that grows with the map.
 
 use portolan_geometry::{Point3f, Rigid2, Vector2, normalize_angle};
 use portolan_grids::{CellIndex, Grid2d, GridError, MapLimits, is_finite};
@@ -23,45 +24,48 @@ use super::place_grid::{Known, PlaceGrid};
 use super::rotated_scans::RotatedScans;
 use super::search_window::{MAX_LINEAR_STEPS, SearchWindow};
 
-/// What a point counts that ends at something solid, beside it, where nothing is known, and where it is free.
+/// Value of a point that ends in an occupied cell.
 const SOLID: f32 = 1.0;
+/// Value of a point that ends beside an occupied cell.
 const BESIDE_SOLID: f32 = 0.5;
+/// Value of a point that ends in an unknown cell.
 const NOTHING: f32 = 0.0;
+/// Value of a point that ends in a free cell.
 const FREE: f32 = -0.5;
 /// The search starts with boxes of 2^5 cells and as many angles. Windows of points in them are up to twice as wide and a
 /// little more: of 2^7 cells.
 const MAX_EXPONENT: u32 = 5;
 
-/// Which places are wanted.
+/// Criteria for places, and limits of the search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WantedPlaces {
-    /// Only places with a larger score.
+    /// Minimum score.
     pub min_score: f32,
-    /// And with a larger share of the best score.
+    /// Minimum score as a fraction of the best score.
     pub share_of_best: f32,
-    /// Places nearer to each other, metres and radians, are one.
+    /// Separation below which two places count as one, metres and radians.
     pub separation: (f64, f64),
-    /// The most that are wanted.
+    /// Maximum number of places.
     pub most: usize,
-    /// A cloud is thinned to so many points.
+    /// Number of points to which a cloud is thinned.
     pub most_points: usize,
-    /// A first, greedy search splits so many boxes of each size: what it finds bounds the best score from below. It costs the
-    /// same in any map, but for boxes of the first size.
+    /// Number of boxes of each size that the first, greedy search splits: its result bounds the best score
+    /// from below. It costs the same in any map, except for boxes of the first size.
     pub beam: usize,
-    /// The complete search after it ends after so many look-ups of cells, with what the two have found; none where it is not
-    /// wanted. A thousand million take about a second.
+    /// Maximum number of look-ups of cells of the complete search after it, which then ends with the results
+    /// of both; 0 omits it. A thousand million take about a second.
     pub lookups: u64,
 }
 
 /// Places where a cloud fits.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FoundPlaces2d {
-    /// Poses of the cloud in the map, the best first. The score is the mean over the points: 1 at something solid, ½ beside
-    /// it, 0 where nothing is known, −½ where it is free.
+    /// Poses of the cloud in the map, the best first. The score is the mean over the points: 1 in an occupied
+    /// cell, ½ beside it, 0 in an unknown cell, −½ in a free one.
     pub places: Vec<MatchResult<Rigid2>>,
     /// Whether these are the best ones of all; false if the look-ups were too few to know.
     pub is_complete: bool,
-    /// How many cells were looked up by the complete search: what it cost, on any machine.
+    /// Number of cells looked up by the complete search: its cost, independent of the machine.
     pub lookups: u64,
 }
 
@@ -73,13 +77,13 @@ pub struct PlaceIndex2d {
     limits: MapLimits,
     score: ByteScore,
     pyramid: MaxPyramid,
-    /// 1 where something is known to be free, or a scanner may stand.
+    /// 1 where a cell is partly known to be free, or a scanner may stand.
     free: MaxPyramid,
 }
 
 impl PlaceIndex2d {
-    /// Of grids and where they lie in the map (`map_from_grid`), in cells of this edge, metres, or larger ones if the map is
-    /// very wide. None where nothing is known.
+    /// From grids and their poses in the map (`map_from_grid`), in cells of this edge, metres, or larger ones
+    /// if the map is very wide. None where nothing is known.
     ///
     /// # Errors
     /// If the map is absurdly wide.
@@ -99,8 +103,8 @@ impl PlaceIndex2d {
         Ok(Some(Self::of_bytes(limits, score, &bytes, &free)))
     }
 
-    /// Of cells that count each so much for a point that ends there, from 0 to 1; others count nothing. A scanner stands in the
-    /// cells that are open, in the order of [`MapLimits::flat_index`].
+    /// From cells with the value of a point that ends there, from 0 to 1; others have the value 0. A scanner
+    /// may stand in the cells that are open, in the order of [`MapLimits::flat_index`].
     pub fn of_cells(limits: MapLimits, counts: &[(CellIndex, f32)], is_open: &[bool]) -> Self {
         let score = ByteScore::new(FREE, SOLID);
         let mut bytes = vec![score.byte(NOTHING); limits.num_cells()];
@@ -134,14 +138,14 @@ impl PlaceIndex2d {
         self.limits.resolution()
     }
 
-    /// The best places of `points`, metres in the level frame of a scanner whose origin is where it stood. Points that are
-    /// not finite are left out.
+    /// The best places of `points`, metres in the level frame of a scanner at the origin. Points that are not
+    /// finite are left out.
     pub fn find(&self, points: &PointCloud, wanted: &WantedPlaces) -> FoundPlaces2d {
         let everywhere = f64::from(MAX_LINEAR_STEPS) * self.limits.resolution();
         self.find_within(points, wanted, &self.limits.max(), everywhere)
     }
 
-    /// As [`Self::find`], of a scanner that stood so many metres from a place in the map, at most, along each axis.
+    /// As [`Self::find`], for a scanner within `metres` of a place in the map along each axis.
     pub fn find_within(
         &self,
         points: &PointCloud,
@@ -186,7 +190,7 @@ impl PlaceIndex2d {
     }
 }
 
-/// The mean of what points count, for a scanner that stands where it is free.
+/// The mean value of the points, for a scanner in free space.
 struct PlaceScore<'a> {
     score: ByteScore,
     num_points: usize,

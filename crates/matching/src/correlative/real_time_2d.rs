@@ -1,4 +1,4 @@
-//! Matching near a guess while the grid is still being drawn.
+//! Matches scans near a guess in a grid that is still being filled.
 
 use portolan_geometry::{Point3f, Rigid2};
 use portolan_grids::{CellBox, CellIndex, Grid2d, MapLimits, is_finite};
@@ -16,16 +16,16 @@ mod probability;
 mod signed_distance;
 mod tile;
 
-/// Where a real-time correlative matcher looks, and how much it prefers to stay where it is.
+/// Search window of a real-time correlative matcher, and its preference for the initial pose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RealTimeCorrelativeOptions {
     /// Metres to either side along each axis, default 0.1.
     pub linear_search_window: f64,
     /// Radians to either side, default 20°.
     pub angular_search_window: f64,
-    /// How fast scores fall with the distance from the initial pose, 1/m, default 0.1.
+    /// Weight by which scores fall with the distance from the initial pose, 1/m, default 0.1.
     pub translation_delta_cost_weight: f64,
-    /// How fast scores fall with the angle from the initial pose, 1/rad, default 0.1.
+    /// Weight by which scores fall with the angle from the initial pose, 1/rad, default 0.1.
     pub rotation_delta_cost_weight: f64,
 }
 
@@ -67,10 +67,10 @@ impl RealTimeCorrelativeMatcher2d {
         Ok(Self { options: options.clone(), largest_penalty: 1.0 })
     }
 
-    /// Limits by which share, 0 to 1, the offset from the initial pose may lower a score: the factor
-    /// becomes `1 − largest (1 − exp(−(‖translation‖ w_t + |angle| w_r)²))`. With large weights and a
-    /// small limit the initial pose holds where the grid tells no better, as along a corridor, and is
-    /// given up at any distance where it does.
+    /// Limits the fraction, 0 to 1, by which the offset from the initial pose may lower a score: the factor
+    /// becomes `1 − largest (1 − exp(−(‖translation‖ w_t + |angle| w_r)²))`. With large weights and a small
+    /// limit the result stays at the initial pose where the grid does not constrain it, as along a corridor,
+    /// and leaves it at any distance where the grid does.
     #[must_use]
     pub fn with_largest_penalty(self, largest: f64) -> Self {
         Self { largest_penalty: largest.clamp(0.0, 1.0), ..self }
@@ -150,7 +150,7 @@ impl RealTimeCorrelativeMatcher2d {
     }
 }
 
-/// How much scores fall with the offset from the initial pose.
+/// Penalty of the offset from the initial pose.
 #[derive(Clone, Copy, Debug)]
 struct Penalty {
     translation_weight: f64,

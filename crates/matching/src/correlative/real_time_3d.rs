@@ -1,4 +1,4 @@
-//! Matching near a guess in 3D while the grid is still being drawn.
+//! Matches scans near a guess in 3D in a grid that is still being filled.
 
 use nalgebra as na;
 use portolan_geometry::{Point3f, Rigid3, Rigid3f, to_f32, to_f64};
@@ -16,15 +16,14 @@ mod surroundings;
 
 /// At most this many steps to either side along each axis and about each axis. A wider window is cut.
 const MAX_STEPS: i32 = 64;
-/// At most this many times a point is looked up, which takes about two seconds. A window that would take more
-/// is cut, the wider one of shifts and rotations first.
+/// Maximum number of look-ups of points, which take about two seconds. A window that would take more is cut,
+/// the wider one of shifts and rotations first.
 const MAX_LOOKUPS: f64 = 1e8;
-/// After so many points it is checked whether a rotation can still be the best.
+/// Number of points after which it is checked whether a rotation can still be the best.
 const POINTS_PER_CHECK: usize = 16;
 
-/// Finds the best placement of a scan on a hybrid grid within a small window by scoring all of them, as
-/// far as they are not seen to be worse than the best one before all points are counted
-/// (`slam3d.md` §3.1).
+/// Finds the best placement of a scan on a hybrid grid within a small window by scoring all of them; a
+/// placement is given up as soon as it cannot exceed the best one (`slam3d.md` §3.1).
 #[derive(Clone, Debug, PartialEq)]
 pub struct RealTimeCorrelativeMatcher3d {
     options: RealTimeCorrelativeOptions,
@@ -142,7 +141,7 @@ struct Search<'a> {
     lattice: VoxelLattice,
     /// Translations of all shifts in the frame of the grid, by axis.
     translations: [Vec<f32>; 3],
-    /// What the offset of each shift adds to the exponent of the score.
+    /// Addition of the offset of each shift to the exponent of the score.
     shift_penalties: Vec<f64>,
     rotation_weight: f64,
 }
@@ -177,7 +176,7 @@ impl<'a> Search<'a> {
         let no_rotation = self.window.num_rotations() / 2;
         let mut sums = vec![0.0; self.window.num_shifts()];
         let mut best = (f32::NEG_INFINITY, usize::MAX, usize::MAX);
-        // The middle is probably good, which spares counting all points at many others.
+        // The middle is probably good, which saves counting all points at many others.
         for rotation in std::iter::once(no_rotation).chain(0..self.window.num_rotations()) {
             let turn = self.window.rotation(rotation);
             let angle = 2.0 * f64::from(turn.imag().norm()).atan2(f64::from(turn.w.abs()));

@@ -1,4 +1,4 @@
-//! A scan turned by every angle of a search window, as cells; computed when asked for.
+//! The cells of a scan rotated by every angle of a search window; computed when needed.
 
 use portolan_geometry::{Point3f, Rigid2, Vector2f};
 use portolan_grids::MapLimits;
@@ -9,7 +9,7 @@ use crate::Transform2d;
 /// Cells are clamped to this so that sums with shifts cannot overflow.
 const FAR: i64 = 1 << 24;
 
-/// Cells of the points of a scan, turned by each angle of a window and put at the initial translation.
+/// Cells of the points of a scan, rotated by each angle of a window and put at the initial translation.
 /// Points are sorted by range, the nearest first.
 pub(crate) struct RotatedScans {
     window: SearchWindow,
@@ -17,7 +17,7 @@ pub(crate) struct RotatedScans {
     /// Subtracted from cell indices: the first cell of the part of the grid that is searched.
     first_cell: [i32; 2],
     translation: Vector2f,
-    /// Turned by the initial angle.
+    /// Rotated by the initial angle.
     points: Vec<Point3f>,
     /// Horizontal range of each point, metres.
     ranges: Vec<f32>,
@@ -60,7 +60,7 @@ impl RotatedScans {
         }
     }
 
-    /// How many points a scan has.
+    /// Number of points of a scan.
     pub fn num_points(&self) -> usize {
         self.points.len()
     }
@@ -88,7 +88,7 @@ impl RotatedScans {
         &self.ordered
     }
 
-    /// Cells by which rounding may move a point between two computations of the same place.
+    /// Maximum difference in cells, due to rounding, between two computations of the same position.
     pub fn rounding_error(&self) -> f64 {
         let reach = self.window.max_range + f64::from(self.translation.norm());
         1e-6 * reach / self.window.resolution

@@ -1,4 +1,4 @@
-//! Histograms of the directions of walls: whether two scans can match at some yaw at all.
+//! Histograms of the directions of walls, which decide whether two scans can match at a yaw at all.
 //!
 //! A cloud is cut into slices of equal height. Each slice is walked around its centroid, and the
 //! directions of lines between nearby points are counted, more if the line is seen at a right angle. Half
@@ -15,7 +15,7 @@ use portolan_grids::is_finite;
 
 /// Height of a slice, metres.
 const SLICE_HEIGHT: f32 = 0.2;
-/// Slices so near to the height of the origin need not be searched for.
+/// Number of slices above and below the origin that are stored in an array; others are in a map.
 const NEAR_SLICES: i64 = 512;
 /// Points nearer to each other or to the centroid than this have no direction worth counting, metres.
 const MIN_DISTANCE: f32 = 0.2;
@@ -109,8 +109,8 @@ fn add_value(mut angle: f32, value: f32, histogram: &mut [f32]) {
     histogram[(bucket.max(0) as usize).min(last)] += value;
 }
 
-/// The histogram of a cloud that is turned by `angle` radians, interpolated between buckets. An empty one
-/// stays empty.
+/// The histogram of a cloud rotated by `angle` radians, interpolated between buckets. An empty one stays
+/// empty.
 pub fn rotate_histogram(histogram: &[f32], angle: f32) -> Vec<f32> {
     let n = histogram.len();
     let turn = -angle * n as f32 / PI;
@@ -121,7 +121,7 @@ pub fn rotate_histogram(histogram: &[f32], angle: f32) -> Vec<f32> {
     (0..n).map(|i| fraction * at(i + 1 + shift) + (1.0 - fraction) * at(i + shift)).collect()
 }
 
-/// How alike two histograms are, between 0 and 1: the cosine between them, 1 where there is nothing to
+/// Similarity of two histograms, between 0 and 1: the cosine between them, 1 where there is nothing to
 /// compare. Histograms of different sizes are compared as far as both reach.
 pub fn histogram_similarity(a: &[f32], b: &[f32]) -> f32 {
     let norm = |h: &[f32]| h.iter().map(|v| v * v).sum::<f32>().sqrt();

@@ -1,4 +1,4 @@
-//! How far and how finely placements are searched.
+//! Search windows: range and steps of placements.
 
 use std::f64::consts::PI;
 
@@ -20,8 +20,7 @@ pub(crate) fn bounded_angular_steps(step: f64, window: f64, rounded: fn(f64) -> 
 }
 
 /// Steps of an angle that move a point at `farthest` metres by just less than a cell (by the fraction
-/// `margin`), and how many of them a window has to either side. In single precision, in which the
-/// reference computes them.
+/// `margin`), and how many of them a window has to either side. In single precision, as in Cartographer.
 pub(crate) fn angular_steps_3d(farthest: f32, resolution: f32, margin: f32, window: f64) -> (f32, i32) {
     let max_range = farthest.max(3.0 * resolution);
     let ratio = resolution * resolution / (2.0 * max_range * max_range);
@@ -62,17 +61,17 @@ impl SearchWindow {
         }
     }
 
-    /// How many angles there are.
+    /// Number of angles.
     pub fn num_scans(&self) -> i32 {
         2 * self.num_angular + 1
     }
 
-    /// By how much scan `k` is turned from the initial angle, radians.
+    /// Angle of scan `k` from the initial one, radians.
     pub fn angle(&self, k: i32) -> f64 {
         f64::from(k - self.num_angular) * self.angular_step
     }
 
-    /// By how much a shift in cells moves the scan, metres along x and y of the map.
+    /// Translation of the scan by a shift in cells, metres along x and y of the map.
     pub fn shift(&self, x: i32, y: i32) -> [f64; 2] {
         [-f64::from(y) * self.resolution, -f64::from(x) * self.resolution]
     }

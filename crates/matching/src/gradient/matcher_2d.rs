@@ -10,7 +10,7 @@ use super::occupied_space_2d::OccupiedSpace2d;
 use super::signed_distance_2d::SignedDistance;
 use crate::MatcherOptionError;
 
-/// Weights of the three kinds of residuals, and when to stop.
+/// Weights of the three kinds of residuals, and stopping criteria.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GradientMatcherOptions2d {
     /// Weight of the scan against the grid.
@@ -19,7 +19,7 @@ pub struct GradientMatcherOptions2d {
     pub translation_weight: f64,
     /// Weight of the distance from the initial rotation, 1/rad.
     pub rotation_weight: f64,
-    /// When to stop.
+    /// Stopping criteria.
     pub solver: SolverOptions,
 }
 
@@ -31,16 +31,15 @@ impl Default for GradientMatcherOptions2d {
     }
 }
 
-/// What the 2D gradient matcher found.
+/// Result of the 2D gradient matcher.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GradientMatch2d {
     /// The best pose of the scan in the frame of the grid.
     pub pose: Rigid2,
     /// Costs (half the sum of squared residuals), iterations and why it stopped.
     pub summary: Summary,
-    /// `JᵀJ` of (x, y, θ) of the occupied-space residuals alone at the best pose, symmetric: what the
-    /// scan says without the priors. A small eigenvalue is a direction in which the scan does not hold
-    /// (a corridor).
+    /// `JᵀJ` of (x, y, θ) of the occupied-space residuals alone at the best pose, symmetric: the information
+    /// of the scan without the priors. A small eigenvalue means a degenerate direction (a corridor).
     pub information: na::Matrix3<f64>,
 }
 

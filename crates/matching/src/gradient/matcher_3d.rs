@@ -9,7 +9,7 @@ use portolan_solver::{DenseProblem, NormalEquations, SolverOptions, Summary, sol
 use super::scan_residuals_3d::{IntensityResiduals, OccupiedSpace3d};
 use crate::MatcherOptionError;
 
-/// How intensities count.
+/// Weights of intensities.
 #[derive(Clone, Debug, PartialEq)]
 pub struct IntensityCostOptions {
     /// Weight of the intensities of the scan against those of the grid, 1 per unit of intensity.
@@ -20,12 +20,12 @@ pub struct IntensityCostOptions {
     pub intensity_threshold: f32,
 }
 
-/// Weights of the kinds of residuals, and when to stop.
+/// Weights of the kinds of residuals, and stopping criteria.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GradientMatcherOptions3d {
     /// Weight of each cloud against its grid.
     pub occupied_space_weights: Vec<f64>,
-    /// For each cloud how its intensities count, as far as there are entries.
+    /// For each cloud the weights of its intensities, as far as there are entries.
     pub intensity_costs: Vec<IntensityCostOptions>,
     /// Weight of the distance from the predicted translation, 1/m.
     pub translation_weight: f64,
@@ -33,7 +33,7 @@ pub struct GradientMatcherOptions3d {
     pub rotation_weight: f64,
     /// Whether rotations about other axes than z are left as they are.
     pub only_optimize_yaw: bool,
-    /// When to stop.
+    /// Stopping criteria.
     pub solver: SolverOptions,
 }
 
@@ -57,22 +57,22 @@ impl Default for GradientMatcherOptions3d {
 pub struct CloudInGrid<'a> {
     /// Metres, in the tracking frame.
     pub cloud: &'a PointCloud,
-    /// What was seen before.
+    /// The grid of earlier scans.
     pub grid: &'a HybridGrid,
-    /// How bright it was; used if the options have weights for it and the cloud has intensities.
+    /// Intensities of earlier scans; used if the options have weights for them and the cloud has intensities.
     pub intensities: Option<&'a IntensityGrid>,
 }
 
-/// What the gradient matcher in 3D found.
+/// Result of the gradient matcher in 3D.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GradientMatch3d {
     /// The best pose of the scan in the frame of the grids.
     pub pose: Rigid3,
     /// Costs (half the sum of squared residuals), iterations and why it stopped.
     pub summary: Summary,
-    /// `JᵀJ` of the clouds against their grids alone at the best pose, symmetric: by the translation
-    /// (x, y, z) and by a rotation vector, both in the frame of the grids. A small eigenvalue is a
-    /// direction in which the scan does not hold (a corridor, an open field).
+    /// `JᵀJ` of the clouds against their grids alone at the best pose, symmetric: by the translation (x, y,
+    /// z) and by a rotation vector, both in the frame of the grids. A small eigenvalue means a degenerate
+    /// direction (a corridor, an open field).
     pub information: na::Matrix6<f64>,
 }
 
@@ -204,7 +204,7 @@ impl<'a> PoseProblem<'a> {
     }
 }
 
-/// The pose moved by `translation`, then turned by twice a half-angle vector (about the axes of the grid).
+/// The pose moved by `translation`, then rotated by twice a half-angle vector (about the axes of the grid).
 fn moved(pose: &Rigid3, translation: Vector3, turn: na::Quaternion<f64>) -> Rigid3 {
     let rotation = Quaternion::new_normalize(turn * pose.rotation.quaternion());
     Rigid3::from_parts((pose.translation.vector + translation).into(), rotation)

@@ -1,4 +1,4 @@
-//! Matching by least squares: from a good guess down to fractions of a cell.
+//! Matches scans by least squares: refines a good guess to fractions of a cell.
 
 mod bicubic;
 mod matcher_2d;

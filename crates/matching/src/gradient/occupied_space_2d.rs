@@ -1,4 +1,4 @@
-//! How well a scan fits the occupied cells of a probability grid.
+//! Residuals of a scan against the occupied cells of a probability grid.
 
 use nalgebra as na;
 use portolan_geometry::{Point3f, Rigid2, Vector2};
@@ -7,8 +7,7 @@ use portolan_solver::NormalEquations;
 
 use super::bicubic::BicubicGrid;
 
-/// One residual per point: the interpolated correspondence cost where the pose puts it, times the
-/// scaling.
+/// One residual per point: the interpolated correspondence cost at the transformed point, times the scaling.
 pub(crate) struct OccupiedSpace2d<'a> {
     pub grid: BicubicGrid<'a>,
     pub max: Vector2,
@@ -38,7 +37,7 @@ impl<'a> OccupiedSpace2d<'a> {
         let mut cost = 0.0;
         for point in self.points {
             let (px, py) = (f64::from(point.x), f64::from(point.y));
-            // The point turned, then moved; the turned one is also the lever of the rotation.
+            // The point rotated, then translated; the rotated one is also the lever of the rotation.
             let (tx, ty) = (cos * px - sin * py, sin * px + cos * py);
             let row = (self.max.x - (tx + pose.translation.x)) * self.cells_per_metre - 0.5;
             let column = (self.max.y - (ty + pose.translation.y)) * self.cells_per_metre - 0.5;

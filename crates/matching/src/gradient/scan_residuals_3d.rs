@@ -1,4 +1,4 @@
-//! How well a scan fits a grid in 3D.
+//! Residuals of a scan against a grid in 3D.
 
 use nalgebra as na;
 use portolan_geometry::{Point3f, Rigid3, Vector3};
@@ -8,7 +8,7 @@ use portolan_solver::{Loss, NormalEquations};
 
 use super::smooth_grid_3d::{SmoothGrid3d, wide};
 
-/// One residual per point: `scaling · (1 − P)` with the interpolated probability P where the pose puts it.
+/// One residual per point: `scaling · (1 − P)` with the interpolated probability P at the transformed point.
 pub(crate) struct OccupiedSpace3d<'a> {
     grid: SmoothGrid3d<'a, u16>,
     points: &'a [Point3f],
@@ -36,8 +36,8 @@ impl<'a> OccupiedSpace3d<'a> {
     }
 }
 
-/// One residual per point: `scaling · (I − intensity)` with the interpolated intensity I where the pose
-/// puts it; nothing for points brighter than the threshold. All of them share one Huber loss.
+/// One residual per point: `scaling · (I − intensity)` with the interpolated intensity I at the transformed
+/// point; nothing for points brighter than the threshold. All of them share one Huber loss.
 pub(crate) struct IntensityResiduals<'a> {
     grid: SmoothGrid3d<'a, Average>,
     cloud: &'a PointCloud,
@@ -95,7 +95,7 @@ fn scaling(weight: f64, num_points: usize) -> f64 {
     weight / (num_points.max(1) as f64).sqrt()
 }
 
-/// The row of the Jacobian for a residual whose derivative by the place of the point is `by_place`: the
+/// The row of the Jacobian for a residual whose derivative by the position of the point is `by_place`: the
 /// translation first, then the half-angle vector of a rotation applied after the pose's own, of which only
 /// the part about z counts when there are four columns.
 #[inline]

@@ -1,4 +1,4 @@
-//! How well a scan fits the surface of a truncated signed distance field.
+//! Residuals of a scan against a truncated signed distance field.
 
 use nalgebra as na;
 use portolan_geometry::{Point3f, Rigid2};
@@ -20,7 +20,7 @@ pub(crate) struct InterpolatedTsdf {
 pub(crate) fn interpolate(tsdf: &Tsdf2d, x: f64, y: f64) -> InterpolatedTsdf {
     let limits = tsdf.limits();
     let per_metre = 1.0 / limits.resolution();
-    // On a cell centre the neighbour beyond has no say, not even one of the size of rounding errors.
+    // On a cell centre the neighbour beyond has no weight, not even one of the size of rounding errors.
     let snapped = |v: f64| if (v - v.round()).abs() < 1e-9 { v.round() } else { v };
     let row = snapped((limits.max().x - x) * per_metre - 0.5);
     let column = snapped((limits.max().y - y) * per_metre - 0.5);
@@ -47,8 +47,8 @@ pub(crate) fn interpolate(tsdf: &Tsdf2d, x: f64, y: f64) -> InterpolatedTsdf {
     InterpolatedTsdf { distance, distance_by, weight, weight_by }
 }
 
-/// One residual per point: its distance to the surface times its share of all weights, times the
-/// scaling and the number of points.
+/// One residual per point: its distance to the surface times its fraction of all weights, times the scaling
+/// and the number of points.
 pub(crate) struct SignedDistance<'a> {
     pub tsdf: &'a Tsdf2d,
     pub points: &'a [Point3f],

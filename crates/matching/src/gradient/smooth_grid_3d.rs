@@ -1,14 +1,14 @@
-//! A grid in 3D as a smooth function of place: between the centres of cells values go over into each
-//! other by `3u² − 2u³` along each axis, flat at the centres.
+//! A grid in 3D as a smooth function of position: between the centres of cells values blend by `3u² − 2u³`
+//! along each axis, flat at the centres.
 
 use portolan_geometry::{Point3f, Vector3};
 
 use portolan_grids::value::{MIN_PROBABILITY, PROBABILITY_CODE, UNKNOWN_CELL};
 use portolan_grids::{Average, HybridGrid, IntensityGrid, MAX_VOXEL_INDEX, VoxelLattice, VoxelMap};
 
-/// What cells of a grid in 3D mean.
+/// Meaning of the cells of a grid in 3D.
 pub(crate) trait CellValue: Copy + Default {
-    /// The value of a cell; none is a cell nothing is known about.
+    /// The value of a cell; none is an unknown cell.
     fn value(cell: Option<Self>) -> f64;
 }
 

@@ -1,14 +1,14 @@
-//! What was wrong with measurements, and how often.
+//! Errors of measurements, and how often they occurred.
 
 use thiserror::Error;
 
-/// Why a measurement was not used. It is also counted.
+/// Reason why a measurement was rejected. It is also counted.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 pub enum ExtrapolatorError {
-    /// Time has moved on.
+    /// Older than the last pose.
     #[error("older than the last pose")]
     OlderThanLastPose,
-    /// Stamps run backward or stand still.
+    /// Stamps run backward or repeat.
     #[error("not newer than the measurement before it")]
     OutOfOrder,
     /// NaN, infinite, or not a rotation.
@@ -16,7 +16,7 @@ pub enum ExtrapolatorError {
     NotFinite,
 }
 
-/// What was not used, and repaired.
+/// Numbers of measurements that were rejected or repaired.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ExtrapolatorCounts {
     /// Poses that were not newer than the last, or not finite.
@@ -25,14 +25,14 @@ pub struct ExtrapolatorCounts {
     pub rejected_imu: u64,
     /// Odometry poses that were too old, out of order or not finite.
     pub rejected_odometry: u64,
-    /// Times that odometry started anew elsewhere (only with `use_all_odometry`).
+    /// Number of times that odometry restarted at another pose (only with `use_all_odometry`).
     pub odometry_jumps: u64,
-    /// Poses that were asked for from before the last one, or before there was one.
+    /// Number of requested poses before the last one, or before there was one.
     pub queries_too_early: u64,
 }
 
 impl ExtrapolatorCounts {
-    /// Both together.
+    /// Sum of both counts.
     #[must_use]
     pub fn plus(&self, other: &Self) -> Self {
         Self {

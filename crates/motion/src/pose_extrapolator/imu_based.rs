@@ -1,8 +1,8 @@
-//! The extrapolator that fits poses, IMU and odometry of the last seconds (`slam3d.md` §2).
+//! Predicts by fitting poses, IMU and odometry of the last seconds (`slam3d.md` §2).
 //!
-//! Nodes are the tracking frame in a frame whose z points up; the queued poses are theirs in the local map,
-//! which may be tilted against it. What the fit finds for one more node at the time asked for is the
-//! prediction.
+//! Nodes are poses of the tracking frame in a frame whose z points up. The queued poses are the same in the
+//! local map, which may be tilted against it. The prediction is the fitted pose of one more node at the
+//! requested time.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -16,17 +16,18 @@ use portolan_solver::{
 use crate::imu_integration::{integrate_imu, velocity_change};
 use crate::interpolation::odometry_at;
 
-/// Gravity before it is estimated, m/s²: Cartographer's, other than [`crate::USUAL_GRAVITY`] because results have to be the same.
+/// Gravity before it is estimated, m/s²: the value of Cartographer, and not [`crate::USUAL_GRAVITY`],
+/// because results have to be the same.
 const GRAVITY_AT_START: f64 = 9.8;
-/// Times nearer to the newest pose than this are its own, seconds.
+/// Time difference to the newest pose below which a time counts as its own, seconds.
 const SAME_TIME: f64 = 1e-6;
-/// Most samples that are kept while no pose arrives.
+/// Maximum number of samples that are kept while no pose arrives.
 const CAPACITY: usize = 20_000;
 
-/// How poses, IMU and odometry of the last seconds are fitted.
+/// Settings of the fit of poses, IMU and odometry.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImuBasedSettings {
-    /// Poses and measurements of so many seconds are fitted.
+    /// Duration of the poses and measurements that are fitted, seconds.
     pub pose_queue_duration: f64,
     /// Gravity, m/s²; 0 or less: estimated.
     pub gravity_constant: f64,
@@ -42,14 +43,14 @@ pub struct ImuBasedSettings {
     pub odometry_translation_weight: f64,
     /// Weight of the rotations of odometry.
     pub odometry_rotation_weight: f64,
-    /// Most iterations of one fit.
+    /// Maximum number of iterations of one fit.
     pub max_num_iterations: u32,
-    /// Whether the solver accepts steps that make the cost worse for a while.
+    /// Whether the solver accepts steps that temporarily increase the cost.
     pub use_nonmonotonic_steps: bool,
 }
 
 impl Default for ImuBasedSettings {
-    /// Equal weights, and as Cartographer over five seconds.
+    /// Equal weights, over five seconds as in Cartographer.
     fn default() -> Self {
         Self {
             pose_queue_duration: 5.0,
@@ -66,13 +67,13 @@ impl Default for ImuBasedSettings {
     }
 }
 
-/// What was predicted for a time.
+/// A prediction for a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Prediction {
     pub time: Time,
     /// In the local map.
     pub local_from_tracking: Rigid3,
-    /// From tracking to a level frame.
+    /// Rotation from the tracking frame to a level one.
     pub gravity_from_tracking: Quaternion,
 }
 
@@ -83,7 +84,7 @@ pub(super) struct ImuBasedExtrapolator {
     poses: VecDeque<(Time, Rigid3)>,
     imu: BTreeMap<Time, ImuData>,
     odometry: BTreeMap<Time, OdometryData>,
-    /// Nodes as the last fit left them.
+    /// Nodes as fitted last.
     solution: BTreeMap<Time, Rigid3>,
     gravity_from_local: Rigid3,
 }
@@ -103,7 +104,7 @@ impl ImuBasedExtrapolator {
     /// Takes a pose that is newer than all others.
     pub fn add_pose(&mut self, time: Time, local_from_tracking: Rigid3) {
         if self.poses.back().is_some_and(|(last, _)| *last == time) {
-            // Between two nodes at one time no motion could be fitted.
+            // Two nodes at the same time would leave their relative motion undefined.
             self.poses.pop_back();
         }
         self.poses.push_back((time, local_from_tracking));
@@ -128,7 +129,8 @@ impl ImuBasedExtrapolator {
         limit(&mut self.odometry);
     }
 
-    /// The prediction for a time from the newest pose on; none before there is one, and where the IMU was silent.
+    /// The prediction for a time not before the newest pose; none without poses, and where the IMU was
+    /// silent.
     pub fn extrapolate(&mut self, time: Time) -> Option<Prediction> {
         let (newest_time, newest) = self.poses.back().copied()?;
         let stays = Prediction {
@@ -178,7 +180,7 @@ impl ImuBasedExtrapolator {
         is_valid_pose(&local_from_tracking).then_some(prediction)
     }
 
-    /// The nodes of the last fit, those of newer poses, and the one to be predicted.
+    /// Nodes of the last fit, of newer poses, and of the prediction.
     fn initial_nodes(&self, time: Time) -> Option<Vec<(Time, Rigid3)>> {
         let known = |t: &Time| self.solution.get(t).copied();
         let newest = self.poses.len() - 1;

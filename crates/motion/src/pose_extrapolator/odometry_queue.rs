@@ -1,4 +1,4 @@
-//! Odometry of the recent past: where it says the robot was at any moment.
+//! Keeps recent odometry and interpolates its motion at any time.
 
 use std::collections::VecDeque;
 
@@ -7,38 +7,41 @@ use portolan_sensor::OdometryData;
 
 use super::screw_motion::ScrewMotion;
 
-/// Odometry is given up when it has been silent for this long, or for three of its usual intervals.
+/// Silence of odometry after which it is no longer used, unless three of its usual intervals are longer.
 const TIMEOUT: Duration = Duration::from_ticks(5_000_000);
-/// Readings that are nearer to each other tell the motion between scans, however near those are.
+/// Interval between readings up to which they always determine the motion between scans, however short the
+/// time between scans is.
 const DENSE: Duration = Duration::from_ticks(2_500_000);
-/// Velocities are taken over at least this time, where there are data, so that jitter of stamps and
-/// coarse encoders do not show.
+/// Minimum time over which velocities are taken, where there is data, so that jitter of stamps and coarse
+/// encoders have little effect.
 const VELOCITY_BASELINE: Duration = Duration::from_ticks(500_000);
-/// No ground robot, car or train is faster than this: m/s and rad/s.
+/// Speed above which odometry jumps, m/s: no ground robot, car or train is faster.
 const MAX_SPEED: f64 = 100.0;
+/// Angular velocity above which odometry jumps, rad/s.
 const MAX_TURN_RATE: f64 = 20.0;
-/// Nor does one speed up faster than this: m/s² and rad/s².
+/// Acceleration above which odometry jumps, m/s².
 const MAX_ACCELERATION: f64 = 30.0;
+/// Angular acceleration above which odometry jumps, rad/s².
 const MAX_TURN_ACCELERATION: f64 = 100.0;
-/// What uneven stamps and slipping wheels may add: m and rad.
+/// Tolerance for uneven stamps and slipping wheels, m and rad.
 const JUMP_SLACK: f64 = 0.3;
-/// Most poses that are kept.
+/// Maximum number of poses that are kept.
 const CAPACITY: usize = 20_000;
 
-/// Odometry in ascending order of time, from shortly before the last pose on.
+/// Odometry in ascending order of time, starting shortly before the last pose.
 #[derive(Clone, Debug, Default)]
 pub(super) struct OdometryQueue {
     data: VecDeque<OdometryData>,
-    /// How much is kept from before the last pose.
+    /// Duration before the last pose that is kept.
     history: Duration,
-    /// The piece of motion that was asked for last: the points of a scan ask for the same again.
+    /// Cache of the last requested motion segment: the points of a scan request the same one repeatedly.
     last_piece: Option<Piece>,
 }
 
-/// A screw motion that holds for a span of time.
+/// A screw motion that is valid for a time span.
 #[derive(Clone, Copy, Debug)]
 struct Piece {
-    /// The time from whose pose the motion is seen.
+    /// Time of the pose relative to which the motion is given.
     from: Time,
     /// Span for which the motion is valid.
     start: Time,
@@ -46,7 +49,7 @@ struct Piece {
     anchor: Time,
     from_from_anchor: Rigid3,
     motion: ScrewMotion,
-    /// Seconds of the whole motion, negative if it leads back.
+    /// Duration of the whole motion, seconds; negative if it goes back in time.
     seconds: f64,
 }
 
@@ -74,8 +77,8 @@ impl OdometryQueue {
         thin_out(&mut self.data, CAPACITY);
     }
 
-    /// Whether a new pose is so far from where the newest and its velocity lead that odometry must have
-    /// started anew.
+    /// Whether a new pose is so far from the newest one, given its velocity, that odometry must have been
+    /// restarted.
     pub fn is_jump(&self, data: &OdometryData) -> bool {
         let mut backward = self.data.iter().rev();
         let Some(newest) = backward.next() else { return false };
@@ -97,7 +100,7 @@ impl OdometryQueue {
         self.data.clear();
     }
 
-    /// Forgets what lies before the last pose, except two poses and the history.
+    /// Drops data before the last pose, except two poses and the history.
     pub fn trim(&mut self, last_pose_time: Time) {
         self.last_piece = None;
         let needed_from = last_pose_time - self.history;
@@ -106,11 +109,12 @@ impl OdometryQueue {
         }
     }
 
-    /// Whether readings are dense enough to tell the motion from one time to a later one.
+    /// Whether readings are dense enough to determine the motion from one time to a later one.
     ///
-    /// Where a robot accelerates by a, motion over a part t of the time T between two readings is off by up to a·t·T/2 if it is
-    /// interpolated, and by a·t² if it goes on as over the last t. So the velocity of the last poses is the better witness where
-    /// t < T/2, and where there is no reading in t.
+    /// If a robot accelerates by a, motion over a part t of the time T between two readings has an error of
+    /// up to a·t·T/2 if it is interpolated, and of a·t² if the motion of the last t is continued. So the
+    /// velocity of the last poses is the better prediction where t < T/2, and where there is no reading in
+    /// t.
     pub fn is_dense(&self, from: Time, to: Time) -> bool {
         let enough = DENSE.max(to - from + (to - from));
         let is_dense_at = |time| {
@@ -123,9 +127,9 @@ impl OdometryQueue {
         self.newest().is_some_and(|newest| newest.time > from) && is_dense_at(from) && is_dense_at(to)
     }
 
-    /// How the robot moved from one time to a later one, seen from its pose at the first: between
-    /// odometry poses interpolated, outside with the velocity at that end. None if odometry does not
-    /// cover that time well enough.
+    /// Motion of the robot from one time to a later one, relative to its pose at the first: interpolated
+    /// between odometry poses, and extrapolated with the velocity at either end outside of them. None if
+    /// odometry does not cover that time well enough.
     pub fn motion(&mut self, from: Time, to: Time) -> Option<Rigid3> {
         let (oldest, newest) = (self.oldest()?.time, self.newest()?.time);
         let usual = newest - self.data.get(self.data.len().checked_sub(2)?)?.time;
@@ -136,7 +140,8 @@ impl OdometryQueue {
         self.interpolated(from, to)
     }
 
-    /// The same where readings are too far apart to tell how the robot moved between them, but do tell how far it came in all.
+    /// The same motion where readings are too far apart to determine the motion between them, but do
+    /// determine the whole distance.
     pub fn motion_between_readings(&mut self, from: Time, to: Time) -> Option<Rigid3> {
         let is_covered = self.oldest()?.time <= from && self.newest()?.time >= to;
         if is_covered && !self.is_dense(from, to) { self.interpolated(from, to) } else { None }
@@ -149,7 +154,7 @@ impl OdometryQueue {
         Some(piece.from_from_anchor * piece.motion_at(to))
     }
 
-    /// The piece of motion around `to`, seen from the pose at `from`.
+    /// The motion segment around `to`, relative to the pose at `from`.
     fn piece(&self, from: Time, to: Time) -> Option<Piece> {
         let (anchor, piece) = self.piece_around(from)?;
         let odom_from_from = anchor.odom_from_tracking * piece.motion_at(from);
@@ -157,7 +162,7 @@ impl OdometryQueue {
         Some(Piece { from, from_from_anchor: odom_from_from.inverse() * anchor.odom_from_tracking, ..piece })
     }
 
-    /// The motion around a time, and the odometry pose that it starts at. Needs two poses.
+    /// The motion segment around a time, and the odometry pose at which it starts. Needs two poses.
     fn piece_around(&self, time: Time) -> Option<(&OdometryData, Piece)> {
         let after = self.data.partition_point(|d| d.time < time);
         let (oldest, newest) = (self.oldest()?, self.newest()?);
@@ -191,20 +196,20 @@ impl OdometryQueue {
 }
 
 impl Piece {
-    /// From the anchor to a time.
+    /// Motion from the anchor to a time.
     fn motion_at(&self, time: Time) -> Rigid3 {
         self.motion.fraction(time.seconds_since(self.anchor) / self.seconds)
     }
 }
 
-/// Metres and radians from one pose to another.
+/// Distances between two poses, metres and radians.
 fn distances(from: &OdometryData, to: &OdometryData) -> (f64, f64) {
     let motion = from.odom_from_tracking.inverse() * to.odom_from_tracking;
     (motion.translation.vector.norm(), rotation_angle(&motion))
 }
 
-/// Halves the density of the older half when there are too many: memory is bounded, and what is
-/// newest keeps its detail.
+/// Halves the density of the older half if there are too many: memory is bounded, and the newest data keeps
+/// its detail.
 pub(super) fn thin_out<T>(data: &mut VecDeque<T>, capacity: usize) {
     if data.len() <= capacity {
         return;

@@ -1,27 +1,27 @@
-//! Fractions and multiples of a rigid motion, at constant velocity in the moving frame.
+//! Interpolates and extrapolates a rigid motion at constant velocity in the moving frame.
 
 use portolan_geometry::{
     Rigid3, Vector3, angle_axis_from_quaternion, nalgebra as na, quaternion_from_angle_axis,
 };
 
-/// A rigid motion with constant linear and angular velocity in the moving frame: the logarithm in SE(3)
-/// of where it leads. A robot on a floor that keeps its wheels turning goes this way, on an arc.
+/// A rigid motion with constant linear and angular velocity in the moving frame: the logarithm in SE(3) of
+/// its end pose. A robot on a floor with constant wheel speeds moves like this, on an arc.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ScrewMotion {
     /// Rotation vector of the whole motion, radians.
     rotation: Vector3,
-    /// Way of the whole motion as the moving frame sees it, metres.
+    /// Translation of the whole motion as integrated in the moving frame, metres.
     velocity: Vector3,
 }
 
 impl ScrewMotion {
-    /// The screw motion that leads to `motion`, turning by less than half a turn.
+    /// The screw motion with the end pose `motion`, with a rotation of less than half a turn.
     pub fn to(motion: &Rigid3) -> Self {
         let rotation = angle_axis_from_quaternion(&motion.rotation);
         Self { rotation, velocity: inverse_left_jacobian(&rotation, &motion.translation.vector) }
     }
 
-    /// Where a fraction of the motion leads. Fractions beyond one and below zero go on and back.
+    /// Pose after a fraction of the motion. Fractions above one and below zero extrapolate.
     pub fn fraction(&self, fraction: f64) -> Rigid3 {
         let rotation = self.rotation * fraction;
         let translation = left_jacobian(&rotation, &(self.velocity * fraction));
@@ -29,8 +29,8 @@ impl ScrewMotion {
     }
 }
 
-/// `V(ω) v = v + (1−cos θ)/θ² ω×v + (θ−sin θ)/θ³ ω×(ω×v)`: where constant velocity v leads while
-/// turning by ω.
+/// `V(ω) v = v + (1−cos θ)/θ² ω×v + (θ−sin θ)/θ³ ω×(ω×v)`: the translation with constant velocity v during a
+/// rotation by ω.
 fn left_jacobian(w: &Vector3, v: &Vector3) -> Vector3 {
     let angle = w.norm();
     let (a, b) = if angle < 1e-4 {

@@ -43,7 +43,7 @@ fn without_odometry_the_velocity_of_poses_goes_on() {
     assert!(is_near(&without.extrapolate_pose(at(0.3)), &along(3.0), 1e-6, 1e-6), "poses go on");
 }
 
-/// The golden run of `vectors.md` §9: what is predicted at the end of each of four steps, the gravity
+/// The golden run of `vectors.md` §9: the prediction at the end of each of four steps, the gravity
 /// orientation there, and the prediction half a step later.
 fn golden_run() -> Vec<(Rigid3, Quaternion, Rigid3)> {
     let mut state = 11_u32;
@@ -270,7 +270,7 @@ mod all_odometry {
     fn odometry_as_seldom_as_scans_is_enough() {
         let (distance, angle) = largest_errors(true, Some(0.2), false, UNCHANGED);
         assert!(distance < 1e-6 && angle < 1e-6, "{distance} {angle}");
-        // Cartographer goes in a straight line.
+        // Cartographer predicts a straight line.
         let (distance, _) = largest_errors(false, Some(0.2), false, UNCHANGED);
         assert!(distance > 0.03, "{distance}");
     }
@@ -284,7 +284,7 @@ mod all_odometry {
 
     #[test]
     fn the_gyroscope_is_trusted_for_turning() {
-        // Wheels that know distance but nothing of turns.
+        // Wheels that measure distance but not rotation.
         let blind = |seconds: f64, _: Rigid3| pose_2d(truth_path_length(seconds), 0.0, 0.0);
         let (distance, angle) = largest_errors(true, Some(0.02), true, blind);
         assert!(distance < 0.005 && angle < 0.02, "{distance} {angle}");
@@ -435,7 +435,7 @@ fn readings_far_apart_tell_the_way_and_not_the_motion() {
     assert!(is_measured && near(predicted, 0.3) && told.is_none(), "{predicted} {told:?}");
     let (is_measured, predicted, told) = drive(&[0.5, 1.5]);
     assert!(!is_measured && near(predicted, 0.4) && near(told.unwrap(), 0.3), "{predicted} {told:?}");
-    // What came before the last pose tells nothing of what comes after it.
+    // Data before the last pose does not determine the motion after it.
     let (is_measured, predicted, told) = drive(&[0.8, 0.9]);
     assert!(!is_measured && near(predicted, 0.4) && told.is_none(), "{predicted} {told:?}");
 }

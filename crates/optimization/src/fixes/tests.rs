@@ -13,7 +13,8 @@ const WEIGHED: SensorPolicy = SensorPolicy {
     holds_start_level: false,
 };
 
-/// A drive around a block whose map has drifted, and fixes in a frame that is turned by 2 rad, off by this (east and north).
+/// A drive around a block whose map has drifted, and fixes in a frame that is rotated by 2 rad, with this
+/// error (east and north).
 fn drive(error: impl Fn(u32) -> [f64; 2]) -> OptimizationData {
     let mut data = OptimizationData { sensor_policy: WEIGHED, ..Default::default() };
     let fixed_from_map = Rigid3::from_parts(

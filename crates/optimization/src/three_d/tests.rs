@@ -108,7 +108,7 @@ fn the_golden_problem_is_solved() {
     let imu = data.sensors[&TRAJECTORY].imu_state;
     assert!((imu.gravity_constant - 9.752691732).abs() < 1e-7);
     assert!((imu.calibration.k - 0.069386904).abs() < 1e-7);
-    // What was found is where the next one starts.
+    // The result is the start of the next optimisation.
     let again = optimize_3d(&mut data, &constraints, &OptimizationProblemOptions::default());
     assert!((again.initial_cost / summary.final_cost - 1.0).abs() < 1e-9);
 }
@@ -152,7 +152,7 @@ fn frozen_trajectories_stay() {
     assert_eq!(data.submaps, before.submaps);
 }
 
-/// A straight drive with fixes whose heights are off by metres, with and without what is known of the start.
+/// A straight drive with fixes whose heights are off by metres, with and without the prior on the start.
 #[test]
 fn fixes_along_a_straight_way_do_not_roll_the_map() {
     let roll_of = |corrects: bool| {
@@ -188,7 +188,7 @@ fn fixes_along_a_straight_way_do_not_roll_the_map() {
                 open: None,
                 score: None,
             });
-            // Heights differ between the lanes by what houses reflect.
+            // Heights differ between the lanes because of signals reflected by houses.
             let height = if i < 20 { -0.6 } else { 0.6 } + 0.3 * f64::from(i % 3);
             let fixed_from_tracking = Some(Rigid3::translation(place.x, place.y, height));
             let fix = FixedFramePoseData { time: seconds(f64::from(i)), fixed_from_tracking };

@@ -12,7 +12,7 @@ fn prepared(recording: &dyn Recording) -> Preparation {
     prepare(recording, &IngestOptions::default(), None).unwrap()
 }
 
-/// What somebody would say of the sensors without having the recording.
+/// Properties of the sensors as a user would give them without the recording.
 fn described(preparation: &Preparation, has_odometry: bool) -> Sensors {
     let lidar = Lidar::from(&preparation.plan.range[0].statistics);
     let has_imu = preparation.plan.imu.is_some();
@@ -70,7 +70,7 @@ fn settings_follow_what_lidars_see() {
         settings_for(&sensors).portolan.min_scan_duration > 0.0
     };
     assert_eq!((gathered(10.0, false), gathered(2.0, false)), (false, false));
-    // Several lidars, pieces of a turn, and who knows.
+    // Several lidars, parts of a turn, and an unknown rate.
     assert_eq!((gathered(10.0, true), gathered(75.0, false), gathered(0.0, false)), (true, true, true));
     let marked = Lidar { max_range_metres: 10.0, ..lidar };
     let outside = Lidar { median_range_metres: 12.0, ..lidar };

@@ -1,4 +1,4 @@
-//! Where a recording contradicts the map it was found in: GeoJSON and lines of pictures.
+//! Writes contradictions between a recording and the map it was localised in: GeoJSON and lines of pictures.
 
 use portolan_export::{ColouredLine, rgb};
 use portolan_geometry::Time;
@@ -32,7 +32,7 @@ pub(super) fn geojson(changes: &[Change], recorded: impl Fn(Time) -> Time) -> Va
     json!({ "type": "FeatureCollection", "frame": "map, metres", "features": features })
 }
 
-/// Outlines: magenta what appeared, blue what is gone.
+/// Outlines: magenta for appeared surfaces, blue for those that are gone.
 pub(super) fn outlines(changes: &[Change]) -> Vec<ColouredLine> {
     let outline = |change: &Change| {
         let colour = match change.kind {

@@ -1,4 +1,4 @@
-//! Why a job could not be done.
+//! Errors of jobs.
 
 use std::path::{Path, PathBuf};
 
@@ -13,19 +13,19 @@ use portolan_recording::RecordingError;
 
 use crate::pipeline::PipelineError;
 
-/// Why a job could not be done.
+/// Reasons why a job could not be done.
 #[derive(Debug, thiserror::Error)]
 pub enum JobError {
-    /// The recording, or mapping.
+    /// An error of the recording, or of mapping.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
     /// An option or its value.
     #[error(transparent)]
     Setting(#[from] ConfigError),
-    /// Options with values that they cannot have, or that do not fit each other.
+    /// Options with invalid values, or values that conflict with each other.
     #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
     Options(Vec<ConfigError>),
-    /// An engine that is not there in 2D.
+    /// An engine that does not exist in 2D.
     #[error("planes are for mapping in 3D; scans in 2D are matched to grids")]
     PlaneEngineIn2d,
     /// Single trajectories to be frozen of several maps.
@@ -36,10 +36,10 @@ pub enum JobError {
     KnownMap {
         /// Which.
         path: PathBuf,
-        /// Why.
+        /// The reason.
         reason: MapConversionError,
     },
-    /// A known map in which nothing can be found.
+    /// A known map in which localisation is not possible.
     #[error("{}: {reason}", path.display())]
     UnusableMap {
         /// Which.
@@ -52,17 +52,17 @@ pub enum JobError {
     NoSuchLandmark {
         /// The map.
         path: PathBuf,
-        /// Those that it has.
+        /// The landmarks that it has.
         landmarks: Vec<String>,
     },
-    /// A map that does not say where on the Earth it is.
+    /// A map without a georeference.
     #[error(
         "{}: the map does not say where on the Earth it is, so that satellite fixes tell no start; map its recording again \
          with --gnss",
         .0.display()
     )]
     NotGeoreferenced(PathBuf),
-    /// A recording without satellite fixes that was to start at one.
+    /// A recording without satellite fixes, although the user wants to start at one.
     #[error("the recording has no satellite fixes (sensor_msgs/NavSatFix) that could tell a start")]
     NoFixes,
     /// A map in 3D whose places were to be examined.
@@ -91,7 +91,7 @@ pub enum JobError {
     ForeignFiles {
         /// The folder.
         folder: PathBuf,
-        /// Who wants to write them.
+        /// The verb that would write them.
         verb: &'static str,
         /// Their names.
         files: Vec<String>,
@@ -99,7 +99,7 @@ pub enum JobError {
     /// The disk is too full.
     #[error(transparent)]
     NoRoom(#[from] NoRoom),
-    /// There is nothing to go on with.
+    /// There is no journal to resume from.
     #[error("{}: nothing to go on with; without --resume mapping begins anew", .0.display())]
     NoJournal(PathBuf),
     /// A journal of another job.
@@ -147,7 +147,7 @@ pub enum JobError {
     /// A drawing for the report.
     #[error(transparent)]
     Drawing(std::io::Error),
-    /// Which topics are which sensors.
+    /// The assignment of topics to sensors failed.
     #[error(transparent)]
     Ingest(#[from] IngestError),
     /// A recording.
@@ -175,7 +175,7 @@ impl JobError {
     }
 }
 
-/// The first of some names.
+/// Lists the first of some names.
 fn names(all: &[String]) -> String {
     if all.is_empty() {
         return "none".to_owned();
@@ -184,7 +184,7 @@ fn names(all: &[String]) -> String {
     format!("{}{more}", all.iter().take(NAMED).cloned().collect::<Vec<_>>().join(", "))
 }
 
-/// Files that are named one by one.
+/// Maximum number of files that are listed.
 const NAMED: usize = 5;
 
 /// Files of a folder, in words.

@@ -1,4 +1,4 @@
-//! What a job tells while it works.
+//! Reports events of a job while it works.
 
 use std::fmt;
 use std::ops::ControlFlow;
@@ -17,43 +17,43 @@ use super::map_cloud::CloudResults;
 use super::summary::MappingSummary;
 use crate::pipeline::PipelineProgress;
 
-/// Is told what happens, and stops the job with [`ControlFlow::Break`]: what is done by then is kept. Answers to remarks
-/// and to what has ended do not count.
+/// Receives the events of a job, and stops it with [`ControlFlow::Break`]: results obtained by then are kept.
+/// Answers to remarks and to completed steps are ignored.
 pub type Observer<'a> = dyn FnMut(&Event) -> ControlFlow<()> + 'a;
 
-/// What happens during a job.
+/// An event of a job.
 #[derive(Debug)]
 pub enum Event<'a> {
-    /// The recording is mapped, as far as this.
+    /// Progress of mapping the recording.
     Mapping(&'a PipelineProgress),
     /// Map, trajectory, pictures and report are written.
     Written {
-        /// What was mapped, and how well.
+        /// Counts and quality of the mapped recording.
         summary: &'a MappingSummary,
         /// The files, in the order in which they were written.
         files: &'a [PathBuf],
-        /// How long loading and mapping took.
+        /// Time for loading and mapping, seconds.
         seconds: f64,
     },
     /// Clouds and pictures of them are written.
     CloudsWritten(&'a CloudResults),
-    /// The recording is localised, as far as this.
+    /// Progress of localising the recording.
     Localizing {
         /// Bytes of the recording read.
         position_bytes: u64,
         /// Bytes of the recording.
         total_bytes: u64,
-        /// What is known of the place.
+        /// State of the localisation.
         state: State,
     },
-    /// Places of a map are examined, as far as this.
+    /// Progress of examining the places of a map.
     Examining {
         /// Places that are done.
         done: usize,
-        /// All of them.
+        /// Number of places.
         total: usize,
     },
-    /// Pictures or clouds are about to be made, or are drawn of the scans that mapping kept.
+    /// Pictures or clouds are about to be made, or the scans that mapping kept are being drawn.
     Drawing,
     /// The recording is read again, and its points are placed in the map.
     PlacingPoints {
@@ -64,34 +64,34 @@ pub enum Event<'a> {
     },
     /// The second reading has ended.
     PointsPlaced,
-    /// Something worth knowing.
+    /// A remark for the user.
     Remark(Remark),
 }
 
-/// What is worth knowing, but no error.
+/// Remarks for the user that are not errors.
 #[derive(Debug)]
 pub enum Remark {
-    /// What was chosen of the sensors, and how to choose otherwise.
+    /// A choice of sensors, and how to change it.
     Chosen(Notice),
     /// A setting that changes little or nothing.
     LittleEffect {
-        /// Path of the option, as it was asked for.
+        /// Path of the option, as the user gave it.
         path: String,
         /// Why.
         why: &'static str,
     },
-    /// Something in a known map was put right or left out.
+    /// Something in a known map was repaired or left out.
     KnownMapIssue {
         /// The map.
         path: PathBuf,
-        /// What.
+        /// The issue.
         issue: Issue,
     },
     /// A known map was loaded.
     KnownMapLoaded {
         /// The map.
         path: PathBuf,
-        /// The numbers of its trajectories: in the file, and in the map that is made.
+        /// The numbers of its trajectories: in the file, and in the new map.
         trajectories: Vec<(i32, TrajectoryId)>,
     },
     /// There is no `map.png`.
@@ -105,18 +105,18 @@ pub enum Remark {
         /// Usual size, metres.
         usual_metres: f64,
     },
-    /// What an earlier run found out need not be found out again.
+    /// Results of an earlier run are reused.
     Resumed {
         /// The journal.
         path: PathBuf,
         /// Results that it holds.
         answers: usize,
-        /// Bytes at its end that were not whole.
+        /// Incomplete bytes at its end.
         cut_off: u64,
     },
-    /// A run that does not end could not be resumed.
+    /// This run cannot be resumed if it is interrupted.
     NoJournal {
-        /// Where.
+        /// The folder.
         folder: PathBuf,
         /// Why.
         reason: String,
@@ -127,42 +127,42 @@ pub enum Remark {
     JournalLeft {
         /// The journal.
         path: PathBuf,
-        /// Why it does not hold all that was found out, if it does not.
+        /// Why it does not hold all results, if so.
         ends_early: Option<String>,
     },
     /// X-rays need the recording again, because scans could not be kept.
     ScansNotKept {
-        /// Where.
+        /// The folder.
         folder: PathBuf,
         /// Why.
         reason: String,
     },
     /// X-rays need the recording again, because scans that were kept cannot be read.
     KeptScansUnreadable(std::io::Error),
-    /// No map was written, because its parts would lie over each other wrongly, or it is not sound.
+    /// No map was written, because its parts would overlap wrongly, or it is not sound.
     NoMap {
-        /// Whether there is one of an earlier run in the folder.
+        /// Whether the folder holds a map of an earlier run.
         left: bool,
     },
     /// Temporary files of a run that was killed were removed.
     LeftoversRemoved {
-        /// Where.
+        /// The folder.
         folder: PathBuf,
-        /// How many.
+        /// Number of files.
         count: usize,
     },
-    /// A temporary file of which nobody knows whether it is being written.
+    /// A temporary file that may still be in use by another program.
     LeftoverKept(PathBuf),
     /// Results of an earlier run that this one did not write were removed.
     EarlierRemoved {
-        /// Where.
+        /// The folder.
         folder: PathBuf,
         /// Their names.
         files: Vec<String>,
     },
     /// Results of an earlier run are still there.
     EarlierLeft {
-        /// Where.
+        /// The folder.
         folder: PathBuf,
         /// Their names.
         files: Vec<String>,
@@ -237,10 +237,10 @@ impl fmt::Display for Remark {
     }
 }
 
-/// Why there is no map.
+/// Message of a run without a map.
 const NO_MAP: &str = "no map was written, because it could not be trusted";
 
-/// Numbers of trajectories in the map that is made, with those in the known map where they differ.
+/// Numbers of trajectories in the new map, with those in the known map where they differ.
 fn numbers_of(trajectories: &[(i32, TrajectoryId)]) -> String {
     let number = |(old, new): &(i32, TrajectoryId)| {
         if *old == new.0 as i32 { new.to_string() } else { format!("{old} as {new}") }
@@ -269,8 +269,8 @@ fn write_leftovers(f: &mut fmt::Formatter<'_>, folder: &Path, count: usize) -> f
     write!(f, "{}: {files} of a run that was killed removed", folder.display())
 }
 
-/// Tells a remark.
+/// Reports a remark.
 pub(super) fn remark(observe: &mut Observer, remark: Remark) {
-    // A remark is no place to stop.
+    // The answer to a remark is ignored.
     let _ = observe(&Event::Remark(remark));
 }

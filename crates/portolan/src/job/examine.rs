@@ -1,4 +1,4 @@
-//! Where in a map localisation would fail or take one place for another.
+//! Finds the places of a map where localisation would fail or confuse one place with another.
 
 use std::path::Path;
 
@@ -15,19 +15,19 @@ use super::error::JobError;
 use super::event::{Event, Observer};
 use super::known_map::KnownMaps;
 
-/// Places of a map, and how well they can be told apart.
+/// Places of a map, and how well they can be distinguished.
 pub struct ExaminedMap {
     /// Along the trajectories, in order.
     pub places: Vec<ExaminedPlace>,
     textures: Vec<PlacedTexture>,
 }
 
-/// How many places are of a kind, and how much of the way they stand for.
+/// Number of places of a kind, and the fraction of the path that they represent.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PlaceCount {
     /// Places.
     pub places: usize,
-    /// Fraction of the way along which they lie.
+    /// Fraction of the path that they represent.
     pub fraction_of_way: f64,
 }
 
@@ -43,12 +43,12 @@ impl ExaminedMap {
         })
     }
 
-    /// Metres along the trajectories.
+    /// Length of the trajectories, metres.
     pub fn way(&self) -> f64 {
         self.places.iter().map(|place| place.way).sum()
     }
 
-    /// Draws the map with the way in colours: green distinct, blue degenerate, orange ambiguous, red thin.
+    /// Draws the map with the path in colours: green distinct, blue degenerate, orange ambiguous, red thin.
     ///
     /// # Errors
     /// If there is nothing to draw, or the picture cannot be written.
@@ -58,9 +58,9 @@ impl ExaminedMap {
     }
 }
 
-/// Examines the places of a map in 2D. `observe` is told how far it is and may stop it; the places examined by then
-/// remain. In 3D the weakest direction of a scan holds so much less than the strongest that every place would be called
-/// degenerate.
+/// Examines the places of a map in 2D. `observe` receives the progress and may stop the work; the places
+/// examined by then remain. In 3D the information along the weakest direction of a scan is so much less than
+/// along the strongest that every place would count as degenerate.
 ///
 /// # Errors
 /// A map that cannot be read, in which nothing can be found, or that is in 3D.
@@ -71,7 +71,7 @@ pub fn examine_map(path: &Path, threads: usize, observe: &mut Observer) -> Resul
     }
     let options = Options::default();
     let known = KnownMaps { files: vec![path.to_owned()], frozen: FrozenTrajectories::All, start: None };
-    // What had to be put right is for whoever checks the document to say.
+    // Repairs of the map are not reported here: that is the task of a check of the map.
     let mut loaded = known.load::<Space2d>(&options, &mut super::unobserved)?;
     let unusable = |reason| JobError::UnusableMap { path: path.to_owned(), reason };
     let map = KnownMap2d::new(loaded.graph.state()).map_err(unusable)?;
@@ -89,7 +89,7 @@ pub fn examine_map(path: &Path, threads: usize, observe: &mut Observer) -> Resul
     Ok(ExaminedMap { places, textures })
 }
 
-/// By the first submap of the file.
+/// Whether the map is in 3D, by the first submap of the file.
 fn is_3d(path: &Path) -> Result<bool, JobError> {
     let failed = |error: portolan_pbstream::PbstreamError| JobError::KnownMap {
         path: path.to_owned(),
@@ -114,7 +114,8 @@ fn colour(distinctness: Distinctness) -> Rgb {
     }
 }
 
-/// The way in pieces of one kind, the worst on top: each place from half the way before it to half the way after it.
+/// The path in segments of one kind, the worst on top: each place from the middle of the segment before it to
+/// the middle of the segment after it.
 fn lines(places: &[ExaminedPlace]) -> Vec<ColouredLine> {
     let at = |place: &ExaminedPlace| {
         let at = place.map_from_tracking.translation;

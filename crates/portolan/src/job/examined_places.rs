@@ -1,4 +1,4 @@
-//! What is told of the examined places of a map, for programs and for people.
+//! Describes the examined places of a map, for programs and for users.
 
 use portolan_geometry::{Rigid3, yaw};
 use portolan_localization::{Distinctness, ExaminedPlace};
@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::examine::{ExaminedMap, PlaceCount};
 
-/// How well the places of a map can be told apart.
+/// How well the places of a map can be distinguished.
 #[derive(Serialize)]
 pub struct Places {
     /// Length of the trajectories.
@@ -37,9 +37,9 @@ struct Place {
     fit: f64,
     /// The best place elsewhere.
     other: Option<Pose>,
-    /// How well what was seen fits there.
+    /// Fit of the same scans at the other place.
     other_fit: Option<f64>,
-    /// Direction in which the scan may be shifted, radians in the map; none if it may not, or only turned.
+    /// Degenerate direction of the scan, radians in the map; none if there is none, or only in rotation.
     open_direction: Option<f64>,
 }
 
@@ -52,7 +52,7 @@ struct Pose {
 }
 
 impl Places {
-    /// What was examined and how much of it is distinct, for people.
+    /// Summary for users: the number of examined places and the fraction that is distinct.
     pub fn text(&self) -> String {
         let distinct = self.kinds.iter().find(|kind| kind.kind == Distinctness::Distinct.name());
         format!(
@@ -63,7 +63,7 @@ impl Places {
         )
     }
 
-    /// Of an examined map.
+    /// Describes an examined map.
     pub fn of(examined: &ExaminedMap) -> Self {
         let kind = |(kind, count): (Distinctness, PlaceCount)| Kind {
             kind: kind.name(),

@@ -1,4 +1,4 @@
-//! Satellite fixes of a recording in a map that was made with fixes.
+//! Uses satellite fixes of a recording in a map that was made with fixes.
 
 use portolan_ingest::{IngestError, IngestOptions, Ingestion, Inventory, SensorPlan, plan};
 use portolan_localization::PositionFix;
@@ -10,21 +10,23 @@ use super::error::JobError;
 use super::localize::{LocalizeRequest, Start};
 use crate::pipeline::PipelineError;
 
-/// Receivers that do not say how good a fix is have errors of about this, metres.
+/// Typical error of fixes from receivers that do not report an accuracy, metres.
 const USUAL_SIGMA: f64 = 5.0;
-/// No fix is better than this, metres: the antenna lies beside the tracking frame, and a fix is taken for the place of that.
+/// Minimum error of a fix, metres: the antenna is beside the tracking frame, and a fix is taken for the
+/// position of that frame.
 const LEAST_SIGMA: f64 = 1.0;
 
-/// What turns fixes into places of the map.
+/// Converts fixes to positions in the map.
 pub(super) struct FixesInMap {
     georeference: Georeference,
 }
 
 impl FixesInMap {
-    /// Chooses the topic of fixes, if there is one and the map is georeferenced; nothing if that, or another start, was told.
+    /// Chooses the topic of fixes, if there is one and the map is georeferenced. None otherwise, or if fixes
+    /// are switched off or another start was given.
     ///
     /// # Errors
-    /// If the recording was to start at a fix and that is not possible.
+    /// If the user wants to start at a fix and that is not possible.
     pub fn of<S: Space>(
         request: &LocalizeRequest,
         map: &Map<S>,
@@ -50,7 +52,7 @@ impl FixesInMap {
         Ok(Some(Self { georeference }))
     }
 
-    /// The fix that was measured just now, if one was.
+    /// The fix of this measurement, if it has one.
     pub fn newest(&self, ingestion: &Ingestion, measurement: &Measurement) -> Option<PositionFix> {
         let Measurement::FixedFramePose(data) = measurement else { return None };
         let fix = ingestion.satellite_fix(data.time)?;

@@ -1,8 +1,9 @@
-//! What a job has found out so far, in a file beside its results: if it is cut off, it goes on from there.
+//! Keeps a journal of a job in a file beside its results, from which an interrupted job can be resumed.
 //!
-//! Mapping gives the same bytes for the same input. So nothing of its state has to be kept, only the answers of what takes
-//! long: where scans match, where searches found nodes, what optimisations gave ([`portolan_recall`]). A job that goes on
-//! does everything again from the beginning and takes the answers from the journal as long as there are any.
+//! Mapping gives the same bytes for the same input. So none of its state has to be kept, only the results of
+//! expensive computations: poses of matched scans, nodes found by searches, results of optimisations
+//! ([`portolan_recall`]). A resumed job does everything again from the beginning and takes these results from
+//! the journal while they last.
 
 mod file;
 mod identity;
@@ -20,12 +21,12 @@ pub use identity::Identity;
 /// Name of the file in the folder of results.
 pub const JOURNAL: &str = "map.journal";
 
-/// The journal of a job. Its file stays until somebody removes it.
+/// The journal of a job. Its file stays until it is removed explicitly.
 pub struct Journal {
     answers: Arc<Answers>,
 }
 
-/// Answers of an earlier run, and where those of this one go.
+/// Results of an earlier run, and the writer for those of this one.
 struct Answers {
     known: BTreeMap<u64, Vec<u64>>,
     writer: Mutex<Option<Writer>>,
@@ -46,24 +47,25 @@ impl Recall for Answers {
     }
 }
 
-/// What there was of an earlier run.
+/// Content of the journal of an earlier run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Resumed {
-    /// Answers that need not be found again.
+    /// Results that need not be computed again.
     pub answers: usize,
-    /// Bytes at the end that were not whole.
+    /// Incomplete bytes at the end.
     pub cut_off: u64,
 }
 
 impl Journal {
-    /// Begins a journal in a folder; the file appears with the first answers that have been there for a moment. What
-    /// another run left of this name is replaced. It ends where less than `reserve` bytes would be left for the results.
+    /// Begins a journal in a folder. The file appears with the first results, if the job takes longer than a
+    /// second. A journal of another run there is replaced. Writing ends where less than `reserve` bytes would
+    /// remain free for the results.
     pub fn begin(folder: &Path, identity: &Identity, reserve: u64) -> Self {
         let writer = Writer::begin(folder.join(JOURNAL), identity, reserve);
         Self { answers: Arc::new(Answers { known: BTreeMap::new(), writer: Mutex::new(Some(writer)) }) }
     }
 
-    /// Goes on with the journal in a folder, with a reserve as in [`Journal::begin`].
+    /// Resumes the journal in a folder, with a reserve as in [`Journal::begin`].
     ///
     /// # Errors
     /// There is none, it cannot be read, it belongs to another job, or another process is writing it.
@@ -80,12 +82,13 @@ impl Journal {
         Ok((Self { answers: Arc::new(Answers { known, writer }) }, resumed))
     }
 
-    /// Remembers with this journal.
+    /// A memory that uses this journal.
     pub fn memory(&self) -> Memory {
         Memory::new(self.answers.clone())
     }
 
-    /// Writes what is not written yet; the file, if there is one, and why it ends early or is missing, if it does or is.
+    /// Writes everything that is pending. Returns the file, if there is one, and the error because of which
+    /// it ends early or is missing, if any.
     pub fn close(&self) -> (Option<PathBuf>, std::io::Result<()>) {
         let writer = self.answers.writer.lock().unwrap_or_else(PoisonError::into_inner).take();
         writer.map_or((None, Ok(())), Writer::close)

@@ -1,4 +1,4 @@
-//! Loading maps that a recording is added to.
+//! Loads maps that a recording is added to.
 
 use std::path::PathBuf;
 
@@ -12,20 +12,20 @@ use super::error::JobError;
 use super::event::{Observer, Remark, remark};
 use crate::pipeline::KnownMap;
 
-/// Maps that were made before, which a recording is added to.
+/// Existing maps that a recording is added to.
 #[derive(Clone, Debug, Default)]
 pub struct KnownMaps {
     /// Their files (`.pbstream`).
     pub files: Vec<PathBuf>,
-    /// What of them stays as it is: with all of it the recording is only localised in them and extends them. Single
-    /// trajectories can be named of one map only.
+    /// Which of their trajectories are frozen: with all of them frozen, the recording is only localised in
+    /// them and extends them. Single trajectories can be named for one map only.
     pub frozen: FrozenTrajectories,
-    /// Where in them the recording starts (`map_from_tracking`); without it, it is searched.
+    /// Pose in them at which the recording starts (`map_from_tracking`); without it, the pose is searched.
     pub start: Option<Rigid3>,
 }
 
 impl KnownMaps {
-    /// Submaps of all of them together.
+    /// Number of submaps of all maps together.
     ///
     /// # Errors
     /// A map that cannot be read.
@@ -40,7 +40,7 @@ impl KnownMaps {
         Ok(submaps)
     }
 
-    /// Loads them, in a frame near them; remarks say what they hold and what had to be repaired.
+    /// Loads them, in a near frame; remarks report their content and repairs.
     ///
     /// # Errors
     /// A map that is damaged or of the other dimension; single trajectories to be frozen of several maps.

@@ -1,4 +1,4 @@
-//! Where the run before ended: the start of the next one.
+//! Reads the last pose of an earlier run, as the start of the next one.
 
 use std::collections::BTreeMap;
 use std::io::{self, BufRead, BufReader};
@@ -8,16 +8,20 @@ use portolan_geometry::{Rigid3, Vector3, rotation_from_roll_pitch_yaw};
 use portolan_input::{Line, read_line, regular_file};
 use portolan_localization::{StartPose, State};
 
-/// A robot is moved a little between two runs: standard deviations are at least these, metres and radians …
+/// Minimum standard deviation of the position of a start, metres: a robot may be moved a little between two
+/// runs.
 const LEAST_METRES: f64 = 0.5;
+/// The same of its rotation, radians.
 const LEAST_RADIANS: f64 = 10.0 * std::f64::consts::PI / 180.0;
-/// … and at most these: of a wider one the search of the whole map is as good.
+/// Maximum standard deviation of the position, metres: with a larger one a search of the whole map is as
+/// good.
 const MOST_METRES: f64 = 10.0;
+/// The same of the rotation, radians.
 const MOST_RADIANS: f64 = 1.0;
-/// Lines of `poses.csv` are shorter than this, bytes.
+/// Maximum length of a line of `poses.csv`, bytes.
 const LONGEST_LINE: usize = 4096;
 
-/// Why a file of poses tells no start.
+/// Reasons why no start can be read from a file of poses.
 #[derive(Debug, thiserror::Error)]
 pub enum LastPoseError {
     /// It cannot be opened or read.
@@ -25,17 +29,17 @@ pub enum LastPoseError {
     File {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// It is not what `localize` writes.
+    /// It is not a table written by `localize`.
     #[error("{}, line {line}: {reason}; this should be the poses.csv of `portolan localize`", path.display())]
     Malformed {
         /// The file.
         path: PathBuf,
         /// Counted from 1.
         line: usize,
-        /// What is wrong.
+        /// The error.
         reason: String,
     },
     /// No scan was localised in it.
@@ -43,7 +47,7 @@ pub enum LastPoseError {
     NeverLocalised(PathBuf),
 }
 
-/// The last pose at which the run was localised that wrote this `poses.csv`, as a start.
+/// The last localised pose in this `poses.csv`, as a start.
 ///
 /// # Errors
 /// If the file cannot be read, is no such table, or has no localised scan.
@@ -70,7 +74,7 @@ pub fn last_pose(path: &Path) -> Result<StartPose, LastPoseError> {
         let number = field.and_then(|field| field.parse::<f64>().ok()).filter(|v| v.is_finite());
         number.ok_or_else(|| malformed(line, &format!("there is no number in the column \"{name}\"")))
     };
-    // Tables in 2D have neither heights nor tilts.
+    // Tables in 2D have no heights, roll or pitch.
     let or_level = |name: &str| if columns.contains_key(name) { value(name) } else { Ok(0.0) };
     let translation = Vector3::new(value("x")?, value("y")?, or_level("z")?);
     let rotation = rotation_from_roll_pitch_yaw(or_level("roll")?, or_level("pitch")?, value("yaw")?);

@@ -1,46 +1,48 @@
-//! Whether a recording was found in maps that were known before.
+//! Determines whether a recording was found in known maps.
 
 use portolan_mapping::{Consistency, Space};
 
 use crate::pipeline::MappedRecording;
 
-/// How well the recording was found in the maps that were known before.
+/// How well the recording was found in the known maps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Localisation {
     /// Loop closures between the recording and the known maps.
     pub loop_closures: usize,
     /// Seconds from the recording's first node to the first one that was found in a known map.
     pub first_found_after_seconds: Option<f64>,
-    /// Seconds of the recording, from its first node, that it took until its place was known.
+    /// Seconds of the recording, from its first node, until its pose in the known maps was determined.
     pub placed_after_seconds: Option<f64>,
-    /// Whether somebody said where it starts.
+    /// Whether the user gave the start.
     pub start_was_given: bool,
-    /// How far from where somebody said that it starts it was found, metres and radians; none where its scans fit there, or nowhere
-    /// better.
+    /// Distance between the given start and the pose found, metres and radians; none where its scans fit at
+    /// the given start, or nowhere better.
     pub error_of_given_start: Option<(f64, f64)>,
-    /// Whether its nodes that were tied to known maps are gone: then there is little to compare with these.
+    /// Whether its nodes with constraints to known maps were trimmed: then little is left to compare with
+    /// these maps.
     pub is_trimmed: bool,
-    /// How its scans agree with the known maps where it lies in them.
+    /// Agreement of its scans with the known maps where they overlap.
     pub agreement: Consistency,
 }
 
-/// A place that fewer of its places than this fraction confirm is refuted. Simulated offices seen by a poor lidar: at most 9 of 25 where
-/// they lie 0.3 m off or more, 7 of 24 in a place that looks alike; 19 of 25 and more where they belong
-/// (docs/experiments/2026-11-known-places.md).
+/// Fraction of confirmed places below which the pose of a recording is refuted. Simulated offices with a poor
+/// lidar: at most 9 of 25 at errors of 0.3 m or more, 7 of 24 in an ambiguous place; 19 of 25 and more at the
+/// correct pose (docs/experiments/2026-11-known-places.md).
 const LEAST_CONFIRMED: f64 = 0.25;
 
-/// What is known of the place of a recording in known maps.
+/// Result for the pose of a recording in known maps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
     /// It was found, and its scans fit the known maps there.
     Found,
-    /// It was found, but too few of its scans fit the known maps there, or lie where these know the place.
+    /// It was found, but too few of its scans fit the known maps there, or too few are in the area that these cover.
     Doubtful,
-    /// Somebody said where it starts, and nothing speaks for or against it: it went where no known map reaches.
+    /// The user gave the start, and nothing confirms or refutes it: the recording left the area of the known
+    /// maps.
     GivenAsStart,
-    /// The known maps look otherwise where it was found, or where somebody said that it starts.
+    /// The known maps differ from its scans where it was found, or at the start given by the user.
     Refuted,
-    /// Nobody said it, and it was not found.
+    /// No start was given, and it was not found.
     NotFound,
 }
 
@@ -58,7 +60,7 @@ impl Place {
 }
 
 impl Localisation {
-    /// Nothing if no map was known before.
+    /// None if there were no known maps.
     pub fn of<S: Space>(mapped: &MappedRecording<S>) -> Option<Self> {
         let (state, new) = (mapped.map.graph.state(), mapped.trajectory_id);
         let pieces = mapped.pieces();
@@ -71,7 +73,7 @@ impl Localisation {
         };
         let between: Vec<_> = state.constraints.iter().filter(found).collect();
         let start = mapped.map.node_poses(new).first().map(|(time, _)| *time);
-        // A known scan found in a new submap counts from when that submap had its first scan.
+        // A known scan found in a new submap counts from the time of the first scan of that submap.
         let first = between.iter().filter_map(|c| {
             if c.node_id.trajectory_id == new {
                 return time(c.node_id);
@@ -96,7 +98,7 @@ impl Localisation {
         })
     }
 
-    /// What is known of the place.
+    /// The result for the pose.
     pub fn place(&self) -> Place {
         let is_tied = self.placed_after_seconds.is_some() || self.first_found_after_seconds.is_some();
         let is_placed = is_tied || self.start_was_given;
@@ -112,12 +114,13 @@ impl Localisation {
         }
     }
 
-    /// Whether the recording is known to lie in the known maps where it belongs.
+    /// Whether the pose of the recording in the known maps is confirmed.
     pub fn is_trusted(&self) -> bool {
         self.place() == Place::Found
     }
 
-    /// Whether the recording does not lie where it belongs, as far as can be known: two buildings on top of each other.
+    /// Whether the recording must not be connected to the known maps, as far as can be known: otherwise two
+    /// buildings would overlap.
     pub fn is_refused(&self) -> bool {
         matches!(self.place(), Place::Refuted | Place::NotFound)
     }

@@ -1,4 +1,4 @@
-//! Finding a recording in a saved map, scan by scan, and adding it to the map if that is wanted.
+//! Localises a recording in a saved map, scan by scan, and adds it to the map if requested.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -31,10 +31,10 @@ use crate::pipeline::{KnownMap as LoadedGraph, PipelineError, Preparation};
 use crate::silence::Silences;
 use crate::unusable_scans::ScanTally;
 
-/// Where a recording starts.
+/// Start of a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Start {
-    /// At this place.
+    /// At this pose.
     At(StartPose),
     /// At a landmark of the map.
     Landmark {
@@ -42,18 +42,19 @@ pub enum Start {
         name: String,
         /// Standard deviation of the position along each axis, metres.
         sigma_metres: f64,
-        /// Standard deviation of the heading from that of the landmark, radians; π where it tells nothing.
+        /// Standard deviation of the heading relative to that of the landmark, radians; π if the heading is
+        /// unknown.
         sigma_radians: f64,
     },
-    /// Where its satellite fixes are, in a map that was made with fixes.
+    /// At its satellite fixes, in a map that was made with fixes.
     Fixes,
-    /// Nobody knows: it is searched in the whole map, even if there are fixes.
+    /// Unknown: the pose is searched in the whole map, even if there are fixes.
     Unknown,
 }
 
 impl Start {
-    /// The place that was told, if one was, in a frame near the map, as these landmarks are; the names of all of them if it is not
-    /// among them.
+    /// The given start, if any, in a near frame, in which the landmarks are given as well. If the landmark
+    /// does not exist, the names of all landmarks.
     fn in_frame(
         &self,
         landmarks: &BTreeMap<String, LandmarkNode>,
@@ -73,33 +74,33 @@ impl Start {
     }
 }
 
-/// What is to be found where.
+/// A request to localise a recording in a map.
 #[derive(Clone, Debug)]
 pub struct LocalizeRequest {
     /// The map (`.pbstream`).
     pub map: PathBuf,
-    /// Where the results go.
+    /// Folder of the results.
     pub folder: PathBuf,
-    /// What is said of the sensors; the rest is found out.
+    /// Sensor options of the user; the rest is determined automatically.
     pub ingest: IngestOptions,
-    /// Options that are asked for; the rest is chosen from the recording.
+    /// Options that the user sets; the rest is chosen from the recording.
     pub requested: RequestedOptions,
-    /// Where the recording starts, as far as somebody knows. Without it, where its satellite fixes are, if the map was made
-    /// with fixes, too; else it is searched in the whole map.
+    /// Start of the recording, if given. Without it, the recording is searched at its satellite fixes, if the
+    /// map was made with fixes, too; otherwise in the whole map.
     pub start: Option<Start>,
-    /// What a driver reads of corrections, if `driver.tum` is wanted.
+    /// How a consumer of the poses takes in corrections, if `driver.tum` is wanted.
     pub jumps: Option<Jumps>,
-    /// The known map with this recording, if it is wanted as a file.
+    /// Request to save the known map with this recording.
     pub save_map: Option<SaveMap>,
-    /// Threads; 0 for as many as there are cores. Results do not depend on it.
+    /// Number of threads; 0 for as many as there are cores. Results do not depend on it.
     pub threads: usize,
 }
 
-/// Finds a recording in a map. `observe` is told how far it is and may stop it.
+/// Localises a recording in a map. `observe` receives the progress and may stop the work.
 ///
 /// # Errors
-/// A map that is damaged, empty or of the other dimension, or has no landmark of the name that was told; a recording that cannot be read or has not a single scan that
-/// can be used; options that are not possible; a map that cannot be renewed or written.
+/// A map that is damaged, empty or of the other dimension, or has no landmark of the given name; a recording
+/// that cannot be read or has no usable scan; invalid options; a map that cannot be renewed or written.
 pub fn localize(
     recording: &dyn Recording,
     request: &LocalizeRequest,
@@ -110,7 +111,7 @@ pub fn localize(
         requested: request.requested.clone(),
         ..MapRequest::new(&request.folder)
     };
-    // Nothing is written here.
+    // Nothing is written to it here.
     let folder = OutputFolder::begin::<&str>(&request.folder, "localize", &[], false, observe)?;
     let job = Job::prepare_in(folder, recording, how, observe)?;
     request.save_map.as_ref().map_or(Ok(()), SaveMap::check)?;
@@ -130,7 +131,7 @@ pub fn localize(
     }
 }
 
-/// Finds a recording in a map that is loaded.
+/// Localises a recording in a loaded map.
 fn localize_in<M: KnownMap<Space: MapFileSpace>>(
     loaded: LoadedMap<M>,
     recording: &dyn Recording,
@@ -187,7 +188,7 @@ fn localize_in<M: KnownMap<Space: MapFileSpace>>(
     })
 }
 
-/// What finds the recording in the map.
+/// The localizer for the map.
 fn localizer<M: KnownMap>(
     map: M,
     request: &LocalizeRequest,
@@ -197,19 +198,19 @@ fn localizer<M: KnownMap>(
 ) -> Result<Localizer<M>, JobError> {
     let settings =
         LocalizerSettings { start, threads: request.threads, keeps_track: request.save_map.is_some() };
-    // The map knows the far walls; the local track draws what its beams hit.
+    // The map contains the far walls; the local track inserts only the hits of beams.
     let mut options = preparation.options.clone();
     options.portolan.join_surfaces = false;
     Ok(Localizer::new(map, &options, sensors, &settings)?)
 }
 
-/// A recording that a localizer reads, and what it has found so far.
+/// A localizer reading a recording, and its results so far.
 struct Run<M: KnownMap> {
     ingestion: Ingestion,
     fixes: Option<FixesInMap>,
     localizer: Localizer<M>,
     frame: NearFrame,
-    /// In the map.
+    /// In the frame of the map.
     estimates: Spool<Estimate>,
     silences: Silences,
     tally: ScanTally,
@@ -249,7 +250,7 @@ impl<M: KnownMap<Space: MapFileSpace>> Run<M> {
         known.for_each(|estimate| self.estimates.push(estimate.in_map(&self.frame)));
     }
 
-    /// Lets the known map grow by the recording, and writes it, unless the reading was stopped.
+    /// Extends the known map by the recording, and writes it, unless the reading was stopped.
     fn save_map(
         &mut self,
         wanted: &SaveMap,
@@ -264,7 +265,7 @@ impl<M: KnownMap<Space: MapFileSpace>> Run<M> {
         wanted.save(known, &mut self.localizer, self.ingestion.sensors(), &estimates)
     }
 
-    /// Adds what was repaired or left out.
+    /// Adds repairs and losses.
     fn add_issues(&self, issues: &mut IssueLog) {
         issues.merge(&self.ingestion.issues());
         if !self.interrupted {
@@ -274,18 +275,18 @@ impl<M: KnownMap<Space: MapFileSpace>> Run<M> {
     }
 }
 
-/// A folder, or, where it is not there yet, the nearest one in which it will be.
+/// A folder, or, if it does not exist yet, its nearest existing parent.
 fn existing(folder: &Path) -> &Path {
     folder.ancestors().find(|folder| folder.is_dir()).unwrap_or(Path::new("."))
 }
 
-/// A map as the localizer wants it, what it looks like, and what was wrong with its file.
+/// A map for the localizer, its pictures, and the issues of its file.
 struct LoadedMap<M: KnownMap> {
     map: M,
-    /// As it was loaded, in the near frame.
+    /// The map as loaded, in the near frame.
     graph: Map<M::Space>,
     frame: NearFrame,
-    /// In the map.
+    /// In the frame of the map.
     textures: Vec<PlacedTexture>,
     issues: IssueLog,
 }

@@ -1,4 +1,4 @@
-//! What localisation leaves in its folder.
+//! Writes the results of localisation.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -25,31 +25,32 @@ use super::output_folder::{OutputFolder, Stale};
 use super::saved_map::SavedMap;
 use crate::silence::is_silence;
 
-/// A recording that was looked for in a map.
+/// A recording that was localised in a map.
 pub struct LocalizedRecording {
-    /// What was known after each scan, in order.
+    /// The estimate after each scan, in order.
     pub estimates: Spool<Estimate>,
-    /// Whether it was looked for in 2D or in 3D.
+    /// Whether it was localised in 2D or in 3D.
     pub dimension: Dimension,
     /// Which topics were used as which sensors.
     pub plan: SensorPlan,
-    /// Where somebody said that it starts; or else where a satellite fix said that it was, while it was looked for.
+    /// Start given by the user; otherwise the satellite fix that was used while the recording was searched.
     pub start: Option<StartPose>,
-    /// Whether that was a fix.
+    /// Whether the start was a fix.
     pub starts_at_fix: bool,
-    /// What a driver reads of corrections; none if nobody asked.
+    /// How a consumer of the poses takes in corrections; none if not requested.
     pub jumps: Option<Jumps>,
-    /// Whether that agrees with where it was found; none if nobody said it, or it is not known at the end.
+    /// Whether the start agrees with the pose found; none without a start, or if the pose is unknown at the
+    /// end.
     pub start_agrees: Option<bool>,
-    /// Where it contradicts the map.
+    /// Contradictions between scans and map.
     pub changes: Vec<Change>,
-    /// What was repaired or left out.
+    /// Repairs and losses.
     pub issues: IssueLog,
     /// Scans whose stamps were changed: their times here, and the stamps as recorded.
     pub recorded_times: BTreeMap<Time, Time>,
-    /// What the map looks like.
+    /// Pictures of the map.
     pub textures: Vec<PlacedTexture>,
-    /// What became of the map that was to be written; none if none was.
+    /// Result of saving the map; none if it was not to be saved.
     pub saved_map: Option<SavedMap>,
     /// Whether it was stopped before the end.
     pub interrupted: bool,
@@ -58,9 +59,9 @@ pub struct LocalizedRecording {
 /// Whether a recording was found in a map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Found {
-    /// Since it was found it was never lost, and hardly ever uncertain.
+    /// It was never lost after it was found, and hardly ever uncertain.
     Throughout,
-    /// It was lost at times, or went where the map does not reach.
+    /// It was lost at times, or left the area of the map.
     InParts,
     /// It was not found.
     Never,
@@ -77,20 +78,20 @@ impl Found {
     }
 }
 
-/// How often and how long a state was.
+/// Frequency and duration of a state.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StateCount {
-    /// Scans after which it was so.
+    /// Number of scans after which the state was this one.
     pub scans: usize,
-    /// Seconds until the next scan, summed up; where scans were missing for long, those until one was due.
+    /// Seconds until the next scan, summed up. Across long gaps between scans only one scan interval counts.
     pub seconds: f64,
 }
 
-/// Since it was found, at least this fraction of scans has to be localised where it was found throughout.
+/// Fraction of scans since it was found that must be localised for [`Found::Throughout`].
 const THROUGHOUT: f64 = 0.95;
 
 impl LocalizedRecording {
-    /// Whether it was found.
+    /// How completely the recording was localised.
     pub fn found(&self) -> Found {
         let states = self.estimates.iter().map(|e| e.state);
         let (mut all, mut localised, mut was_lost) = (0, 0, false);
@@ -115,7 +116,7 @@ impl LocalizedRecording {
         Some(found.time.seconds_since(first.time))
     }
 
-    /// How often and how long each state was, in the order of [`State::ALL`].
+    /// Frequency and duration of each state, in the order of [`State::ALL`].
     pub fn state_counts(&self) -> [(State, StateCount); 5] {
         let mut counts = State::ALL.map(|state| (state, StateCount::default()));
         let (lasting, _) = lasting(&self.intervals());
@@ -129,7 +130,7 @@ impl LocalizedRecording {
         counts
     }
 
-    /// Seconds in which scans were due and none came, so that no state is known.
+    /// Total duration of gaps in which scans were due, so that the state is unknown, seconds.
     pub fn seconds_without_scans(&self) -> f64 {
         lasting(&self.intervals()).1
     }
@@ -146,8 +147,8 @@ impl LocalizedRecording {
         localised.filter_map(|e| Some((self.recorded(e.time), e.place?.map_from_tracking))).collect()
     }
 
-    /// What a driver would have read: poses of the tracking frame in the map with corrections taken in as the policy says, since
-    /// it was first localised, under the times of the recording.
+    /// The poses that a consumer would have used: poses of the tracking frame in the map with corrections
+    /// taken in according to the policy, since it was first localised, with the times of the recording.
     pub fn driven(&self, jumps: Jumps) -> Vec<(Time, Rigid3)> {
         let mut corrections = Corrections::new(jumps);
         let mut driven = |e: Estimate| Some((self.recorded(e.time), corrections.add(&e)?));
@@ -159,8 +160,8 @@ impl LocalizedRecording {
     }
 }
 
-/// For how long a scan tells where it is, by the seconds to the next one, and for how long altogether none does: of a silence it
-/// is the time after which a scan was due.
+/// How long the pose of each scan is valid, by the seconds to the next scan, and the total time without a
+/// valid pose. Of a gap, only one scan interval counts as valid.
 fn lasting(intervals: &[f64]) -> (Vec<f64>, f64) {
     let period = median(&mut intervals.to_vec()).unwrap_or_default();
     let lasting = |seconds: &f64| if is_silence(*seconds, period) { period } else { *seconds };
@@ -173,7 +174,8 @@ fn lasting(intervals: &[f64]) -> (Vec<f64>, f64) {
 pub const LOCALIZED_FILES: [&str; 6] =
     ["poses.tum", "driver.tum", "poses.csv", "changes.geojson", "path.png", "report.json"];
 
-/// Writes [`LOCALIZED_FILES`], `driver.tum` only if it is wanted; their paths. It took `seconds`.
+/// Writes [`LOCALIZED_FILES`], `driver.tum` only if requested; returns their paths. `seconds` is the
+/// computing time.
 ///
 /// # Errors
 /// Fails if something cannot be written.
@@ -213,7 +215,7 @@ pub fn write_localized(
     Ok(files)
 }
 
-/// One line a scan. Numbers are missing where no place is known.
+/// Writes one line for each scan. Numbers are missing where the pose is unknown.
 fn write_csv(localized: &LocalizedRecording, path: &Path) -> Result<(), JobError> {
     let axes = Axes::of(localized.dimension);
     let mut file = AtomicFile::create(path)?;
@@ -228,7 +230,7 @@ fn write_csv(localized: &LocalizedRecording, path: &Path) -> Result<(), JobError
     Ok(file.commit()?)
 }
 
-/// Which axes of a pose are written, as indices of its covariance, with their names.
+/// The axes of a pose that are written, as indices of its covariance, with their names.
 struct Axes(&'static [(usize, &'static str)]);
 
 impl Axes {
@@ -249,7 +251,7 @@ impl Axes {
     }
 
     fn header(&self) -> String {
-        // Names of angles stand apart: cov_x_yaw.
+        // Names of angles are separated: cov_x_yaw.
         let separator = |a: &str, b: &str| if a.len() + b.len() > 2 { "_" } else { "" };
         let axes = self.0.iter().map(|(_, name)| (*name).to_owned());
         let pairs = self.pairs().map(|((_, a), (_, b))| format!("cov_{a}{}{b}", separator(a, b)));
@@ -298,7 +300,7 @@ fn colour(state: State) -> Rgb {
     }
 }
 
-/// The path in pieces of one state; what is tentative jumps, so that it is dots.
+/// The path in segments of one state; tentative poses jump, so they are drawn as dots.
 fn path(estimates: &Spool<Estimate>) -> Vec<ColouredLine> {
     let mut lines: Vec<ColouredLine> = Vec::new();
     let mut last: Option<State> = None;
@@ -318,7 +320,7 @@ fn path(estimates: &Spool<Estimate>) -> Vec<ColouredLine> {
     lines
 }
 
-/// What is in `report.json`.
+/// Content of `report.json`.
 fn report(localized: &LocalizedRecording, seconds: f64) -> serde_json::Value {
     let counts = localized.state_counts();
     let states = counts.map(|(state, count)| {
@@ -355,7 +357,7 @@ fn report(localized: &LocalizedRecording, seconds: f64) -> serde_json::Value {
     })
 }
 
-/// When the state changed, what it became and why.
+/// Changes of the state: times, new states and reasons.
 fn changes(localized: &LocalizedRecording) -> Vec<serde_json::Value> {
     let mut last = None;
     let changed = localized.estimates.iter().filter(|e| last.replace(e.state) != Some(e.state));
@@ -374,7 +376,7 @@ mod tests {
     fn of_an_hour_without_scans_nothing_is_known() {
         let mut intervals = vec![0.1; 60];
         assert_eq!(lasting(&intervals), (intervals.clone(), 0.0));
-        // Scans that are rare are none that are missing.
+        // Scans at a low rate are not missing.
         assert_eq!(lasting(&[3.0, 3.0, 12.0]).1, 0.0);
         intervals[30] = 3600.0;
         let (told, silent) = lasting(&intervals);

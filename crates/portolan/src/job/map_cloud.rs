@@ -1,5 +1,6 @@
-//! The map as a cloud and as X-ray pictures, all points with the finished trajectory: those of the cloud from a
-//! second pass over the recording, those of the pictures as mapping used and kept them.
+//! Writes the map as a cloud and as X-ray pictures, with all points placed by the finished trajectory. Points
+//! of the cloud come from a second pass over the recording, those of the pictures are the ones that mapping
+//! used and kept.
 
 use std::path::{Path, PathBuf};
 
@@ -21,10 +22,10 @@ use super::output_folder::OutputFolder;
 use super::xray::{self, NotDrawn, Points};
 use crate::pipeline::{MappedRecording, PipelineError, Preparation};
 
-/// What each point has.
+/// Attributes of each point.
 const ATTRIBUTES: Attributes = Attributes { intensity: true, time: true, color: false };
 
-/// The map as a cloud and as pictures of it: what is to be made.
+/// Which cloud and pictures of the map are made.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CloudRequest {
     /// The map as a cloud of all raw points: .ply, .pcd, .las, .laz, .e57 or .xyz; none without. A name without a
@@ -43,7 +44,7 @@ impl Default for CloudRequest {
 }
 
 impl CloudRequest {
-    /// Has mapping keep in the folder of the results what [`write_clouds`] draws.
+    /// Lets mapping keep the scans that [`write_clouds`] draws, in the folder of the results.
     pub fn keep_scans(&self, preparation: &mut Preparation, folder: &Path) {
         preparation.keep_scans_in = self.draws_xrays(preparation).then(|| folder.to_owned());
     }
@@ -52,10 +53,10 @@ impl CloudRequest {
         preparation.dimension == Dimension::ThreeD && self.with_xrays
     }
 
-    /// Refuses what cannot be done before anything is mapped.
+    /// Refuses impossible requests before mapping begins.
     ///
     /// # Errors
-    /// An ending that no format has; a size of cubes that is not possible.
+    /// A file extension of no known format; an impossible size of cubes.
     pub fn check(&self) -> Result<(), CloudError> {
         if let Some(path) = &self.file {
             CloudFormat::from_path(path)?;
@@ -63,8 +64,8 @@ impl CloudRequest {
         self.voxel_size_metres.map_or(Ok(()), |size| VoxelThinner::new(size).map(drop))
     }
 
-    /// Makes the folder of the cloud, which goes again if nothing came into it, and tries whether files can be written
-    /// there.
+    /// Makes the folder of the cloud, which is removed again if it stays empty, and checks that files can be
+    /// written there.
     ///
     /// # Errors
     /// A folder that cannot be made or written to.
@@ -73,7 +74,7 @@ impl CloudRequest {
         if path.is_dir() {
             return Err(JobError::file(path, std::io::ErrorKind::IsADirectory.into()));
         }
-        // A name without a folder goes to the results, which are made on their own.
+        // A name without a folder goes to the folder of results, which is made elsewhere.
         let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) else {
             return Ok(ResultFolder::default());
         };
@@ -87,22 +88,22 @@ impl CloudRequest {
     }
 }
 
-/// What was made of the points.
+/// Results made from the points.
 #[derive(Debug, Default)]
 pub struct CloudResults {
     /// Files in order.
     pub files: Vec<PathBuf>,
     /// For the report ([`add_to_report`](super::add_to_report), as `cloud`).
     pub report: serde_json::Value,
-    /// If a cloud was written: how many points are in the file, and of how many.
+    /// If a cloud was written: the number of points in the file, and the counts of the re-projection.
     pub cloud: Option<(u64, Reprojected)>,
 }
 
-/// Takes the points of a sweep.
+/// Receives the points of a sweep.
 type Sink<'a> = dyn FnMut(&[MapPoint]) -> Result<(), CloudError> + 'a;
 
 impl CloudResults {
-    /// Writes the cloud (its file and voxels) and draws the X-rays, as far as they are asked for, of all points that
+    /// Writes the cloud (its file and voxels) and draws the X-rays, if requested, from all points that
     /// `reproject` gives.
     fn add_second_pass(
         &mut self,
@@ -148,7 +149,7 @@ impl CloudResults {
     }
 }
 
-/// Points on their way to the cloud: as they come, or thinned.
+/// Sink of the points of the cloud: all of them, or thinned.
 enum CloudSink {
     All { writer: Box<dyn CloudWriter>, batch: PointCloud },
     Thinned { writer: Box<dyn CloudWriter>, thinner: VoxelThinner },
@@ -187,7 +188,7 @@ impl CloudSink {
         }
     }
 
-    /// How many points are in the file.
+    /// Returns the number of points in the file.
     fn finish(self) -> Result<u64, CloudError> {
         match self {
             Self::All { mut writer, batch } => {
@@ -211,7 +212,7 @@ impl CloudSink {
     }
 }
 
-/// Writes the cloud that was asked for, and X-rays of maps in 3D; none where nothing is to be done. `ingest` and
+/// Writes the requested cloud, and X-rays of maps in 3D; none if nothing is requested. `ingest` and
 /// `preparation` are those that the recording was mapped with.
 ///
 /// # Errors
@@ -258,7 +259,7 @@ pub fn write_clouds<S: Space>(
     Ok(Some(results))
 }
 
-/// X-rays of what mapping kept; none if that is not there.
+/// Draws X-rays of the scans that mapping kept; none if these are not complete.
 fn draw_kept(
     request: &xray::Request,
     scans: &KeptScans,
@@ -296,8 +297,8 @@ fn not_drawn(reason: NotDrawn, observe: &mut Observer) -> Result<Vec<PathBuf>, J
     }
 }
 
-/// Places all points of a recording that mapping takes by the poses of its trajectory. `sink` gets the points of each sweep
-/// in order of the recording.
+/// Places all points of a recording within the range limits of mapping by the poses of its trajectory. `sink`
+/// receives the points of each sweep in order of the recording.
 fn reproject_all(
     recording: &dyn Recording,
     ingest: &IngestOptions,
@@ -319,12 +320,12 @@ fn reproject_all(
             break;
         }
     }
-    // Nothing is left to stop.
+    // The work is done, so the answer is ignored.
     let _ = observe(&Event::PointsPlaced);
     Ok(Reprojected { interrupted, ..reprojector.reprojected() })
 }
 
-/// The range that mapping takes.
+/// The range limits of mapping.
 fn limits_of_mapping(preparation: &Preparation) -> RangeLimits {
     let builder = &preparation.options.trajectory_builder;
     let (two, three) = (&builder.trajectory_builder_2d, &builder.trajectory_builder_3d);
@@ -334,7 +335,7 @@ fn limits_of_mapping(preparation: &Preparation) -> RangeLimits {
     }
 }
 
-/// Reads what mapping read, but of the range sensors only.
+/// Reads the range sensors that mapping read, and nothing else.
 fn range_sensors(
     recording: &dyn Recording,
     ingest: &IngestOptions,

@@ -1,6 +1,6 @@
-//! How much memory the program takes, where the system tells.
+//! Reports the memory use of the program, where the system provides it.
 
-/// Memory in use and the most that was ever in use, bytes; `None` on systems that do not tell.
+/// Memory in use and its peak, bytes; `None` on systems without this information.
 pub fn resident_and_peak_bytes() -> Option<(u64, u64)> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let field = |name: &str| {

@@ -1,7 +1,8 @@
-//! The folder of results: which files in it an earlier run wrote, and which it did not and must not be lost.
+//! Manages the folder of results: which files were written by an earlier run, and which were not and must not
+//! be overwritten.
 //!
-//! A small file there ([`MANIFEST`]) names what was written, by which verb, with size and checksum. A file that it does
-//! not name, or that was changed since, is not overwritten unless somebody asks for it.
+//! A small file there ([`MANIFEST`]) lists what was written, by which verb, with size and checksum. A file
+//! that it does not list, or that was changed since, is not overwritten unless the user asks for it.
 
 mod claim;
 mod manifest;
@@ -19,16 +20,16 @@ use claim::Claim;
 pub use manifest::MANIFEST;
 use manifest::{Content, Manifest, Record, is_no_file, is_plain};
 
-/// What becomes of files that an earlier run of the same verb left and this one does not write.
+/// Treatment of files that an earlier run of the same verb left and this one does not write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stale {
     /// They are removed, unless they were changed since.
     Remove,
-    /// They are named: this run did not come to a result that takes their place.
+    /// They are reported: this run has no result that replaces them.
     Name,
 }
 
-/// A folder that results go to.
+/// A folder for results.
 #[derive(Debug)]
 pub struct OutputFolder {
     path: PathBuf,
@@ -48,9 +49,9 @@ struct State {
 }
 
 impl OutputFolder {
-    /// Looks at a folder before a verb (`map`) begins its work: nothing is made or changed there, but temporary files that
-    /// a killed run left are removed. `names` are the files that will be written; with `force` whatever has such a name is
-    /// overwritten.
+    /// Checks a folder before a verb (`map`) begins its work. Nothing is created or changed there, but
+    /// temporary files that a killed run left are removed. `names` are the files that will be written; with
+    /// `force` existing files of these names are overwritten.
     ///
     /// # Errors
     /// A file of such a name was not written by an earlier run of this verb, was changed since, or cannot be read; another
@@ -88,12 +89,12 @@ impl OutputFolder {
         Ok(Self { path, verb, state })
     }
 
-    /// Where it is.
+    /// Path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The path of a file that is written next; those that were named before are complete by then.
+    /// The path of a file that is written next; files returned before are complete by then.
     ///
     /// # Errors
     /// The folder cannot be made or written to, or another run is writing there.
@@ -112,8 +113,8 @@ impl OutputFolder {
         Ok(path)
     }
 
-    /// Names several files that are written next. A name that leads out of the folder is somebody's own choice and not kept
-    /// in mind.
+    /// Announces several files that are written next. A name that leads out of the folder is the user's own
+    /// choice and not recorded.
     ///
     /// # Errors
     /// As [`OutputFolder::file`].
@@ -131,8 +132,8 @@ impl OutputFolder {
         self.save(&state)
     }
 
-    /// Ends the writing: what an earlier run left of files that this one did not write is removed or named. `inputs` of
-    /// this run stay.
+    /// Ends the writing. Files that an earlier run left and this one did not write are removed or reported.
+    /// `inputs` of this run stay.
     ///
     /// # Errors
     /// The folder cannot be written to.
@@ -171,8 +172,8 @@ impl OutputFolder {
         Ok(())
     }
 
-    /// Notes size and checksum of what is complete. What is not there was not written after all; of what cannot be read it
-    /// stays unknown.
+    /// Records size and checksum of complete files. A file that does not exist was not written after all; the
+    /// checksum of a file that cannot be read stays unknown.
     fn close_files(&self, state: &mut State) {
         for name in std::mem::take(&mut state.open) {
             match Content::of(&self.path.join(&name)) {
@@ -195,8 +196,8 @@ impl OutputFolder {
     }
 }
 
-/// Files of these names that the verb did not write, or that were changed since. Without a manifest, what is in its place is
-/// one of them.
+/// Files of these names that the verb did not write, or that were changed since. Without a manifest, a file
+/// in its place is one of them.
 fn foreign_files<N: AsRef<str>>(
     manifest: Option<&Manifest>,
     folder: &Path,

@@ -1,4 +1,4 @@
-//! The map from above: a picture for people and one for ROS.
+//! Draws the map from above: a picture for users and one for ROS.
 
 use std::path::PathBuf;
 
@@ -14,7 +14,8 @@ use super::output_folder::OutputFolder;
 /// Cell size of the ROS map, metres, unless that makes it too large.
 const ROS_MAP_RESOLUTION: f64 = 0.05;
 
-/// Writes `map.png`, and `map.pgm` with `map.yaml`; which of them, because there may be nothing to show.
+/// Writes `map.png`, and `map.pgm` with `map.yaml`; returns those that were written, as there may be nothing
+/// to show.
 pub(super) fn write_pictures(
     content: &MapContent,
     folder: &OutputFolder,
@@ -42,8 +43,8 @@ pub(super) fn write_pictures(
     Ok(files)
 }
 
-/// Draws with the resolution asked for, or that doubled until the picture is not too large; none where there is
-/// nothing to draw. Remarks say so.
+/// Draws with the requested cell size, doubled until the picture is not too large; none where there is
+/// nothing to draw. Remarks report both.
 fn draw_as_fits(
     textures: &[PlacedTexture],
     mut options: PaintOptions,
@@ -78,7 +79,7 @@ mod tests {
     use portolan_geometry::Rigid3;
     use portolan_mapfile::SubmapTexture;
 
-    /// Far apart, so that a picture of all is large.
+    /// Textures far apart, so that a picture of all is large.
     fn textures(metres: f64) -> Vec<PlacedTexture> {
         let texture = SubmapTexture {
             pixels: vec![[0, 255]; 4],

@@ -1,4 +1,4 @@
-//! Reading files of points.
+//! Reads files of points.
 
 use std::path::Path;
 
@@ -8,15 +8,15 @@ use portolan_pointcloud::{CloudError, CloudReader, PointCloud};
 /// Points of a cloud, every n-th if there are very many.
 #[derive(Debug, Default)]
 pub struct ReadCloud {
-    /// Metres.
+    /// Coordinates, metres.
     pub points: Vec<[f64; 3]>,
-    /// Seconds; empty if the file has none.
+    /// Times, seconds; empty if the file has none.
     pub seconds: Vec<f64>,
     /// Points with finite coordinates in the file.
     pub total: u64,
     /// Points whose coordinates are not numbers.
     pub not_finite: u64,
-    /// What was repaired or left out.
+    /// Repairs and losses.
     pub issues: Vec<Issue>,
 }
 
@@ -27,8 +27,8 @@ impl ReadCloud {
     }
 }
 
-/// Reads a cloud of any format, or a folder of uos scans. Beyond `limit` points every second one is left out, and
-/// again, evenly over the whole file.
+/// Reads a cloud of any format, or a folder of uos scans. Whenever there are more than `limit` points every
+/// second one is left out, evenly over the whole file.
 ///
 /// # Errors
 /// Fails if the file cannot be read. A file without points is read.

@@ -1,7 +1,9 @@
-//! What `refine` reads and leaves: the raw points of a recording, and a folder with trajectory, cloud, map and report.
+//! Data and results of `refine`: the raw points of a recording, and a folder with trajectory, cloud, map and
+//! report.
 //!
-//! [`read_points`] gives what [`refine_continuous_with`](portolan_refinement::continuous::refine_continuous_with)
-//! takes; [`write_refinement`] writes what it found.
+//! [`read_points`] gives the input of
+//! [`refine_continuous_with`](portolan_refinement::continuous::refine_continuous_with); [`write_refinement`]
+//! writes its result.
 
 mod cloud_pair;
 mod judgement;

@@ -1,5 +1,5 @@
-//! What `register` works on and leaves: scans in memory, whether their registration can be trusted, and a folder with
-//! poses, the joined cloud, pictures and a report.
+//! Data and results of `register`: scans in memory, whether their registration can be trusted, and a folder
+//! with poses, the joined cloud, pictures and a report.
 
 mod results;
 mod scans;

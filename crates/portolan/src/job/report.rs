@@ -1,4 +1,4 @@
-//! What is in `report.json`.
+//! Content of `report.json`.
 
 use portolan_geometry::Time;
 use portolan_mapping::{DegenerateInterval, DegenerateMotion, Loss, Space, Substitute};
@@ -34,7 +34,7 @@ fn motion_key(motion: DegenerateMotion) -> &'static str {
     }
 }
 
-/// The name of what was used instead.
+/// The name of the motion source that was used instead.
 fn substitute_key(substitute: Substitute) -> &'static str {
     match substitute {
         Substitute::Odometry => "odometry",
@@ -46,9 +46,9 @@ fn substitute_key(substitute: Substitute) -> &'static str {
     }
 }
 
-/// How long scans did not constrain each component of motion.
+/// Total duration for which scans did not constrain each component of motion.
 fn degenerate_seconds(intervals: &[DegenerateInterval]) -> serde_json::Value {
-    // Not `sum`, which is -0 of nothing.
+    // Not `sum`, which is -0 for no values.
     let seconds = |motion: DegenerateMotion| {
         intervals.iter().filter(|i| i.motion == motion).fold(0.0, |sum, i| sum + i.seconds)
     };
@@ -139,7 +139,7 @@ fn self_consistency<S: Space>(mapped: &MappedRecording<S>) -> serde_json::Value 
     })
 }
 
-/// Where the recording lies in the known map, and whether that can be trusted.
+/// Pose of the recording in the known map, and whether it can be trusted.
 fn known_map(localisation: &Localisation) -> serde_json::Value {
     serde_json::json!({
         "loop_closures": localisation.loop_closures,
@@ -154,7 +154,7 @@ fn known_map(localisation: &Localisation) -> serde_json::Value {
     })
 }
 
-/// When nothing constrained the pose of the scanner, and what became of it.
+/// Intervals in which nothing constrained the pose of the scanner, and their outcome.
 fn losses<S: Space>(mapped: &MappedRecording<S>) -> Vec<serde_json::Value> {
     let recorded = |time: Time| mapped.recorded_times.get(&time).copied().unwrap_or(time).unix_seconds();
     let entry = |(loss, without_pose): (&Loss, usize)| {

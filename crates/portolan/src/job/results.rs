@@ -1,4 +1,4 @@
-//! What mapping leaves in its folder.
+//! Writes the results of mapping.
 
 use std::path::PathBuf;
 
@@ -15,7 +15,7 @@ use super::report::report;
 use crate::known_places::KnownMapSpace;
 use crate::pipeline::MappedRecording;
 
-/// A space whose maps can be shown from above.
+/// A space whose maps can be drawn from above.
 pub trait ResultSpace: MapFileSpace + KnownMapSpace {
     /// The submaps as textures.
     fn textures(map: &Map<Self>) -> Vec<PlacedTexture>;
@@ -38,11 +38,12 @@ impl ResultSpace for Space3d {
 pub struct ResultFiles {
     /// The map and pictures of it.
     pub map: bool,
-    /// The trajectory in the times of the map, too.
+    /// Whether the trajectory with the times of the map is written, too.
     pub all_poses: bool,
 }
 
-/// Writes map, trajectory, pictures and report; their files, in order. Mapping took `seconds`.
+/// Writes map, trajectory, pictures and report; returns their files in order. `seconds` is the time of
+/// mapping.
 ///
 /// # Errors
 /// Fails if something cannot be written.
@@ -57,8 +58,8 @@ pub fn write_results<S: ResultSpace>(
     let memory_while_mapping = resident_and_peak_bytes();
     let mut files = Vec::new();
     let whole = || map.whole().map_err(|source| JobError::file(folder.path(), source));
-    // Trajectories that were known before are in the map; these files are of the recording. The trajectory comes
-    // first: it is what took longest for its size, should there be no room for the rest.
+    // Known trajectories are in the map; these files are of the recording. The trajectory is written first:
+    // for its size it took longest to compute, in case there is no room for the rest.
     let trajectory = folder.file("trajectory.tum")?;
     let poses = mapped.trajectory();
     whole()?;
@@ -83,7 +84,7 @@ pub fn write_results<S: ResultSpace>(
     Ok(files)
 }
 
-/// Draws the map, unless somebody wants to stop: pictures can be made of the map again.
+/// Draws the map, unless the user stops the job: pictures can be made from the map later.
 fn draw<S: ResultSpace>(
     map: &Map<S>,
     folder: &OutputFolder,
@@ -102,7 +103,7 @@ fn draw<S: ResultSpace>(
     write_pictures(&content, folder, observe)
 }
 
-/// Adds a part to the report that [`write_results`] left.
+/// Adds a part to the report that [`write_results`] wrote.
 ///
 /// # Errors
 /// Fails if the report cannot be read or written.

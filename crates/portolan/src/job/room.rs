@@ -1,13 +1,13 @@
-//! Whether there is room for the results, before hours are spent on them.
+//! Estimates the disk space for the results, before mapping begins.
 
-/// The least that trajectory, report and pictures take, bytes.
+/// Minimum size of trajectory, report and pictures, bytes.
 const LEAST: u64 = 1 << 20;
-/// A map takes at least one byte for so many of the recording, a cloud of its points one for so many. Real ones take
-/// several times as much.
+/// Bytes of the recording for which a map takes at least one byte. Real maps take several times as much.
 const RECORDING_BY_MAP: u64 = 400;
+/// Bytes of the recording for which a cloud of its points takes at least one byte.
 const RECORDING_BY_CLOUD: u64 = 50;
 
-/// What the results will need at the very least, bytes.
+/// Minimum size of the results, bytes.
 pub(super) fn needed(recording_bytes: u64, with_cloud: bool) -> u64 {
     let cloud = if with_cloud { recording_bytes / RECORDING_BY_CLOUD } else { 0 };
     LEAST + recording_bytes / RECORDING_BY_MAP + cloud

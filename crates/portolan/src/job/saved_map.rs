@@ -1,4 +1,4 @@
-//! The known map with what was localised in it, as a file.
+//! Saves the known map together with the recording that was localised in it.
 
 use std::path::{Path, PathBuf};
 
@@ -15,12 +15,12 @@ use portolan_sensor::SensorId;
 use super::error::JobError;
 use crate::soundness::unsoundness;
 
-/// The map that is wanted of a recording that is localised.
+/// The map to be saved after localising a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SaveMap {
     /// Its file; may be that of the known map.
     pub path: PathBuf,
-    /// What becomes of the known map.
+    /// How the known map is changed.
     pub growth: Growth,
 }
 
@@ -28,25 +28,25 @@ pub struct SaveMap {
 pub(super) struct KnownFile<'a, S: Space> {
     /// Its file.
     pub path: &'a Path,
-    /// In the near frame.
+    /// The map, in the near frame.
     pub map: Map<S>,
-    /// That frame.
+    /// The near frame.
     pub frame: NearFrame,
 }
 
-/// What became of the map that was wanted.
+/// Result of saving the map.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SavedMap {
     /// It was written.
     Written {
         /// The file.
         path: PathBuf,
-        /// What was added, and what it replaced.
+        /// What was added and what it replaced.
         grown: Grown,
     },
-    /// There is nothing to add; no file was written.
+    /// Nothing can be added; no file was written.
     Refused(GrowthError),
-    /// What came of it is not fit to be written; no file was written.
+    /// The resulting map is unsound; no file was written.
     Unsound(IssueLog),
     /// It was stopped before the end of the recording; no file was written.
     Interrupted,
@@ -79,7 +79,7 @@ impl SavedMap {
 }
 
 impl SaveMap {
-    /// Says early what would go wrong late.
+    /// Finds errors of the file before the work begins.
     ///
     /// # Errors
     /// If the file cannot be written.
@@ -87,7 +87,7 @@ impl SaveMap {
         AtomicFile::create(&self.path).map(drop).map_err(|error| JobError::file(&self.path, error.source))
     }
 
-    /// Lets a known map grow, and writes it. Estimates are in the near frame.
+    /// Extends a known map, and writes it. Estimates are in the near frame.
     pub(super) fn save<M: KnownMap<Space: MapFileSpace>>(
         &self,
         known: KnownFile<'_, M::Space>,
@@ -127,7 +127,8 @@ impl SaveMap {
     }
 }
 
-/// The configuration that a map was made with, if its file has one: it is kept, so that the map is optimised as before.
+/// The configuration that a map was made with, if its file has one: it is kept, so that the map is optimised
+/// as before.
 fn configuration(known: &Path) -> Option<Options> {
     let reader = MapReader::open(known).ok()?;
     Some(reader.configuration())

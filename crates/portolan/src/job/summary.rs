@@ -1,4 +1,4 @@
-//! What is told of a mapped recording, whatever space it was mapped in.
+//! Summary of a mapped recording, in 2D or 3D.
 
 use portolan_config::Engine;
 use portolan_issue::IssueLog;
@@ -8,12 +8,12 @@ use portolan_numeric::LatencyHistogram;
 use super::localisation::Localisation;
 use crate::pipeline::MappedRecording;
 
-/// Counts, times and doubts of a mapped recording.
+/// Counts, times and quality of a mapped recording.
 #[derive(Clone, Debug)]
 pub struct MappingSummary {
     /// Scans matched.
     pub scans: u64,
-    /// What they were matched to.
+    /// Map representation that scans were matched to.
     pub engine: Engine,
     /// Nodes of the map, known maps included.
     pub nodes: usize,
@@ -23,34 +23,35 @@ pub struct MappingSummary {
     pub loop_closures: usize,
     /// Loop closures that were rejected since the others contradict them.
     pub contradicted_loop_closures: u64,
-    /// Loop closures that were left out since too few others agree with what they would bend.
+    /// Loop closures that were left out since too few others agree with the change they would cause.
     pub unsupported_loop_closures: usize,
     /// Whether scans of one place agree with those of its earlier passes.
     pub self_consistency: Consistency,
-    /// How far places may be off to which only odometry, or nothing, told the way (2D).
+    /// Drift: standard deviation of positions to which neither scans nor loop closures constrain the motion
+    /// (2D).
     pub drift: Drift,
     /// Seconds from the first to the last measurement.
     pub recording_seconds: f64,
-    /// How long local SLAM took for each matched scan.
+    /// Time that local SLAM took for each matched scan.
     pub scan_times: LatencyHistogram,
     /// How well the recording was found in known maps; none without any.
     pub localisation: Option<Localisation>,
-    /// When the scanner was lost, for people: a line each.
+    /// Intervals in which the pose was lost, for users: one line each.
     pub losses: String,
-    /// Where scans left directions open and the prediction decided (3D).
+    /// Intervals in which scans had degenerate directions and the prediction determined the motion (3D).
     pub degenerate_intervals: Vec<DegenerateInterval>,
-    /// What was repaired or left out.
+    /// Repairs and losses.
     pub issues: IssueLog,
     /// Whether it was stopped before the end of the recording, or before the map was finished.
     pub interrupted: bool,
-    /// Whether data were lost while reading, or parts of the map are not tied to the rest.
+    /// Whether data were lost while reading, or parts of the map are not connected with the rest.
     pub lost_data: bool,
-    /// Whether the map is fit to be written.
+    /// Whether the map is sound and may be written.
     pub is_sound: bool,
 }
 
 impl MappingSummary {
-    /// Of a recording that was mapped and judged.
+    /// Summary of a mapped recording after its checks.
     pub fn of<S: Space>(mapped: &MappedRecording<S>) -> Self {
         let graph = &mapped.map.graph;
         let state = graph.state();
@@ -76,14 +77,14 @@ impl MappingSummary {
         }
     }
 
-    /// Whether nothing of the map is to be used: it is not fit to be written, or the recording does not lie in the known maps
-    /// where it belongs.
+    /// Whether the map must not be used: it is not sound, or the pose of the recording in the known maps is
+    /// refuted.
     pub fn is_refused(&self) -> bool {
         !self.is_sound || self.localisation.is_some_and(|found| found.is_refused())
     }
 
-    /// Whether the map can be used, but not all of it as it is: data were lost, or nobody knows whether parts of it lie where
-    /// they belong.
+    /// Whether the map can be used only with reservations: data were lost, or the pose of parts of it is not
+    /// confirmed.
     pub fn is_partial(&self) -> bool {
         self.lost_data || self.localisation.is_some_and(|found| !found.is_trusted())
     }

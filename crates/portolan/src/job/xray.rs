@@ -1,4 +1,4 @@
-//! X-rays of a map in 3D from three sides, and a coloured section.
+//! Draws X-rays of a map in 3D from three sides, and a coloured section.
 
 use std::path::PathBuf;
 
@@ -13,40 +13,41 @@ use super::event::{Event, Observer};
 use super::output_folder::OutputFolder;
 use crate::pipeline::Preparation;
 
-/// Voxels are so large that the longest edge has about this many of them …
+/// Approximate number of voxels along the longest edge.
 const VOXELS_ALONG: f64 = 1500.0;
-/// … within these bounds, metres.
+/// Bounds of the edge of a voxel, metres.
 const VOXEL_SIZES: std::ops::RangeInclusive<f64> = 0.03..=0.5;
 /// Largest edge of a picture, pixels.
 const MAX_EDGE: usize = 2400;
 /// Thickness of the section, metres.
 const SECTION: f64 = 1.5;
-/// Fraction of the points that may lie outside of a picture, on either side: reflections in glass, far trees.
+/// Fraction of the points that may be outside of a picture, on either side: reflections in glass, far trees.
 const OUTLIERS: f64 = 0.001;
+/// The same for the section.
 const OUTLIERS_OF_SECTION: f64 = 0.01;
-/// Width of the strips of which the section takes the one with most of the trajectory, metres.
+/// Width of the strips from which the section is chosen, metres: the one with most of the trajectory.
 const STRIP: f64 = 0.5;
 
-/// Which way the map reaches is judged by one point in each cube of so many voxels along an edge.
+/// Edge of the cubes, in voxels, of which one point each determines the extent and the axes of the map.
 const SAMPLED: f64 = 4.0;
-/// So few points of each scan are enough for that.
+/// Stride of the points of each scan that are used for that.
 const EVERY_SAMPLED: usize = 5;
 
-/// Where the points are that are drawn.
+/// Source of the points that are drawn.
 pub(super) enum Points<'a> {
     /// Scans that mapping kept, and the motion by the final trajectory.
     Kept(&'a KeptScans, &'a SmoothMotion),
-    /// One for each voxel of a second reading.
+    /// One point for each voxel of a second reading.
     Thinned(ThinnedCloud),
 }
 
-/// Why there are no pictures.
+/// Reasons why there are no pictures.
 pub(super) enum NotDrawn {
     /// The points could not be read.
     Points(CloudError),
     /// The scans that were kept could not be read.
     Kept(std::io::Error),
-    /// Somebody wants to stop.
+    /// The user interrupted the drawing.
     Interrupted,
     /// The pictures could not be made or written.
     Failed(JobError),
@@ -59,7 +60,8 @@ impl From<CloudError> for NotDrawn {
 }
 
 impl Points<'_> {
-    /// Visits all points with their times, seconds since 1970, or `every` n-th if there are scans; as often as needed.
+    /// Visits all points with their times, seconds since 1970, or every `every`-th if there are scans. May be
+    /// called again.
     fn for_each(
         &mut self,
         every: usize,
@@ -83,24 +85,24 @@ impl Points<'_> {
     }
 }
 
-/// What is drawn of which way.
+/// Trajectory and resolution of the pictures.
 pub(super) struct Request {
     way: Vec<(Time, [f64; 3])>,
     /// Size of the voxels to gather points in, metres.
     pub voxel_size: f64,
 }
 
-/// Where the pictures look, and how far the cloud reaches there.
+/// Directions of the views, and the place of the section.
 struct Views {
     views: [(&'static str, &'static str, XrayView); 3],
-    /// Depth into the section.
+    /// Direction of the depth of the section.
     depth: XrayView,
     /// Middle of the section in its depth.
     middle: f64,
 }
 
 impl Request {
-    /// For a trajectory and the sensors that saw the map.
+    /// For a trajectory and the sensors that measured the map.
     pub fn new(poses: &[(Time, Rigid3)], plan: &SensorPlan, preparation: &Preparation) -> Self {
         let way: Vec<(Time, [f64; 3])> =
             poses.iter().map(|(time, pose)| (*time, pose.translation.vector.into())).collect();
@@ -111,7 +113,7 @@ impl Request {
         Self { way, voxel_size: size.clamp(*VOXEL_SIZES.start(), *VOXEL_SIZES.end()) }
     }
 
-    /// Draws all pictures; the files. None where there are no points.
+    /// Draws all pictures; returns the files. None where there are no points.
     pub fn draw(
         &self,
         points: &mut Points,
@@ -153,7 +155,7 @@ impl Request {
         Ok(files)
     }
 
-    /// Some points from wherever there are any.
+    /// A sample of points that covers the whole cloud.
     fn sample(&self, points: &mut Points, observe: &mut Observer) -> Result<CloudSample, NotDrawn> {
         let mut sample = CloudSample::default();
         let mut occupied = OccupiedVoxels::new(SAMPLED * self.voxel_size)?;
@@ -165,7 +167,7 @@ impl Request {
         Ok(sample)
     }
 
-    /// Along the walls, if there are any; the front is the longer side.
+    /// Views along the walls, if there are any; the front is the longer side.
     fn views(&self, sample: &CloudSample) -> Views {
         let walls = sample.wall_direction().unwrap_or(0.0);
         let length = |view: &XrayView| {
@@ -186,7 +188,7 @@ impl Request {
         }
     }
 
-    /// What the picture shows: the cloud and the trajectory.
+    /// Extent of a picture: the cloud and the trajectory.
     fn extents(&self, sample: &CloudSample, view: &XrayView) -> (Option<Extent>, Option<Extent>) {
         let along = |axis: usize| {
             let extent = sample.extent(OUTLIERS, |p| view.project(p)[axis])?;
@@ -200,7 +202,7 @@ impl Request {
         XrayPicture::new([right.from, up.from], [right.to, up.to], self.voxel_size, MAX_EDGE, is_coloured)
     }
 
-    /// The way as lines; a place that `project` refuses interrupts it.
+    /// The trajectory as a line; a point for which `project` gives none interrupts it.
     fn line(&self, project: impl Fn([f64; 3]) -> Option<[f64; 2]>) -> TrajectoryLine {
         let points = self.way.iter().map(|(_, p)| project(*p).unwrap_or([f64::NAN; 2]));
         TrajectoryLine { index: 0, points: points.collect() }
@@ -218,7 +220,7 @@ impl Views {
         (self.depth.project(position)[0] - self.middle).abs() < 0.5 * SECTION
     }
 
-    /// Where most of what is cut lies.
+    /// Extent of most of the points in the section.
     fn extents_of_section(&self, sample: &CloudSample) -> (Option<Extent>, Option<Extent>) {
         let front = self.views[1].2;
         let along =
@@ -252,7 +254,7 @@ fn spread(values: impl Iterator<Item = f64>) -> f64 {
     if high >= low { high - low } else { 0.0 }
 }
 
-/// The middle of the strip that holds most values.
+/// The middle of the strip with most values.
 fn busiest(values: impl Iterator<Item = f64>) -> f64 {
     let mut strips: Vec<i64> = values.map(|v| (v / STRIP).floor() as i64).collect();
     strips.sort_unstable();

@@ -1,4 +1,4 @@
-//! Coarse stages: windows are drawn together by pairs of surfels, from far to near.
+//! Coarse stages: windows are aligned by pairs of surfels, from far to near.
 
 use portolan_geometry::Vector3;
 use portolan_solver::NormalBlocks;
@@ -10,20 +10,21 @@ use super::surfels::SurfelMap;
 use super::{DenseTrajectory, Knots};
 use crate::RefineError;
 
-/// Standard deviation of the distance of a pair, metres: patches of half a metre of the same wall in passes
-/// through it that are each good to a few centimetres, and neighbouring pairs are wrong in the same way.
+/// Standard deviation of the distance of a pair, metres: patches of half a metre of the same wall in passes,
+/// each accurate to a few centimetres; and neighbouring pairs have correlated errors.
 const PAIR_DEVIATION: f64 = 0.15;
-/// What is added to it for each metre that both are apart along the surface: normals are not exact.
+/// Addition to it for each metre between both along the surface: normals are not exact.
 const TILT: f64 = 0.1;
-/// Patches of so many points count half: furniture is taken for other furniture sooner than walls for other walls.
+/// Number of points with which a patch has half weight: furniture is confused with other furniture more often
+/// than walls with other walls.
 const HALF_COUNT: f64 = 40.0;
 
-/// Pairs of windows more than so many numbers apart tell whether loops are closed …
+/// Difference of window numbers above which pairs count in the test of loop closure.
 const FAR_APART: usize = 5;
-/// … where they are not farther apart than about this, metres.
+/// Approximate distance up to which such pairs fit, metres.
 const FITTING: f64 = 0.06;
 
-/// How one iteration went.
+/// Result of one iteration.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct CoarseStep {
     pub pairs: usize,
@@ -33,8 +34,8 @@ pub(crate) struct CoarseStep {
     pub shift: f64,
 }
 
-/// One Gauss–Newton step: pairs up to `gate` metres apart are searched anew (of windows at most `horizon` numbers apart),
-/// weighted (Geman–McClure with half of that), and all knots are solved for at once.
+/// One Gauss–Newton step: pairs up to `gate` metres apart are searched anew (of windows at most `horizon`
+/// numbers apart) and weighted (Geman–McClure with half of `gate`), and all knots are solved for at once.
 pub(crate) fn coarse_step(
     map: &SurfelMap,
     corrections: &Corrections,
@@ -62,7 +63,7 @@ pub(crate) fn coarse_step(
             add(&mut equations, &[(i, part(0)), (i + 1, part(6))], residual, weight)?;
         }
     }
-    // The gauge: the first knot stays.
+    // The gauge: the first knot is fixed.
     equations.hold(0, 1e9);
     let failed = RefineError::Numerical("coarse step");
     let increment = equations.solve().map_err(|_| failed.clone())?.ok_or(failed)?;
@@ -79,8 +80,8 @@ fn reliability(map: &SurfelMap, pair: &Pair) -> f64 {
     count / (count + HALF_COUNT) / (PAIR_DEVIATION.powi(2) + (TILT * pair.aside).powi(2))
 }
 
-/// Fraction of the pairs up to `gate` metres apart, of windows that are not neighbours, that fit together, 0 to 1, and how
-/// much they weigh together.
+/// Fraction of the pairs up to `gate` metres apart, of windows that are not neighbours, that fit together, 0
+/// to 1, and their total weight.
 pub(crate) fn agreement(
     map: &SurfelMap,
     corrections: &Corrections,

@@ -1,15 +1,16 @@
-//! Symmetric positive definite equations that are never formed, solved by preconditioned conjugate gradients.
+//! Solves symmetric positive definite equations that are never formed, by preconditioned conjugate gradients.
 
 use super::unknowns::dot;
 
-/// The fraction of the residual that may be left, where that is the end of it …
+/// Fraction of the residual that may remain in a final solution.
 pub(crate) const TIGHT: f64 = 1e-3;
-/// … and where the equations are set up anew afterwards.
+/// Fraction of the residual that may remain where the equations are linearised again afterwards.
 pub(crate) const LOOSE: f64 = 1e-2;
-/// At most so many steps.
+/// Maximum number of steps.
 const MAX_STEPS: usize = 150;
 
-/// Solves `S x = right` (Hestenes and Stiefel 1952) until the residual has fallen to a fraction of it.
+/// Solves `S x = right` (Hestenes and Stiefel 1952) until the residual has decreased to the fraction
+/// `tolerance`.
 pub(crate) fn conjugate_gradients(
     right: &[f64],
     product: impl Fn(&[f64], &mut [f64]),

@@ -1,13 +1,14 @@
-//! Where sensors really are and when they really measured, against what the recording says.
+//! Corrections of extrinsics and stamps of the range sensors.
 
 use portolan_geometry::{Quaternion, Rigid3, Vector3, nalgebra as na, quaternion_from_angle_axis};
 
 use crate::MAX_SENSORS;
 
-/// What is known about a range sensor better than the recording says.
+/// Correction of the extrinsics and the clock of a range sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorCorrection {
-    /// Takes points of the sensor, as they stand in the recording's tracking frame, to where they belong in it.
+    /// Transforms points of the sensor from the tracking frame as assumed in the recording to the corrected
+    /// one.
     pub tracking_from_assumed: Rigid3,
     /// Seconds to be added to the sensor's stamps.
     pub delay: f64,
@@ -20,8 +21,8 @@ impl Default for SensorCorrection {
 }
 
 impl SensorCorrection {
-    /// Applies an increment: shift (metres) and turn (rotation vector) of the sensor about its own place
-    /// `origin`, in axes of the tracking frame, and seconds.
+    /// Applies an increment: translation (metres) and rotation (rotation vector) of the sensor about its own
+    /// position `origin`, in axes of the tracking frame, and delay (seconds).
     pub(crate) fn apply(&mut self, increment: &[f64; 7], origin: &Vector3) {
         let [x, y, z, a, b, c, delay] = *increment;
         let turn: Quaternion = quaternion_from_angle_axis(&Vector3::new(a, b, c));
@@ -40,7 +41,7 @@ impl SensorCorrection {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Corrections {
     sensors: [SensorCorrection; MAX_SENSORS],
-    /// Sensors that have one.
+    /// Whether a sensor has a correction.
     corrected: [bool; MAX_SENSORS],
 }
 
@@ -55,13 +56,13 @@ impl Corrections {
         &self.sensors[sensor]
     }
 
-    /// Changes that of a sensor.
+    /// Changes the correction of a sensor.
     pub fn apply(&mut self, sensor: usize, increment: &[f64; 7], origin: &Vector3) {
         self.sensors[sensor].apply(increment, origin);
         self.corrected[sensor] = true;
     }
 
-    /// A point of a sensor as it stands in the recording, corrected: when, and where in the tracking frame.
+    /// Corrects a point of a sensor from the recording: time, and position in the tracking frame.
     #[inline]
     pub fn place(&self, sensor: usize, seconds: f64, in_tracking: [f32; 3]) -> (f64, [f32; 3]) {
         if !self.corrected[sensor] {
@@ -72,7 +73,7 @@ impl Corrections {
         (seconds + correction.delay, [p.x as f32, p.y as f32, p.z as f32])
     }
 
-    /// Where a corrected point would stand in the recording: the inverse of [`Corrections::place`].
+    /// Uncorrected time and position of a corrected point: the inverse of [`Corrections::place`].
     pub fn unplace(&self, sensor: usize, seconds: f64, in_tracking: &Vector3) -> (f64, Vector3) {
         if !self.corrected[sensor] {
             return (seconds, *in_tracking);

@@ -1,4 +1,4 @@
-//! Which times a trajectory covers, and which points lie in them.
+//! Determines the times that a trajectory covers, and the points in them.
 
 use portolan_geometry::{Rigid3, Time};
 
@@ -6,13 +6,14 @@ use super::correction::Corrections;
 use crate::MAX_SENSORS;
 use crate::point_store::StoredPoint;
 
-/// Interpolation over more than this many usual intervals between poses is not trusted …
+/// Maximum interval between poses for interpolation, as a multiple of the usual one. Longer intervals are
+/// gaps if they are also longer than [`SECONDS`].
 const INTERVALS: f64 = 5.0;
-/// … if it is also longer than this, seconds.
+/// Minimum duration of a gap, seconds.
 const SECONDS: f64 = 0.5;
 
-/// Denser points are thinned to this for finding surfaces: they are known well enough then, and the time it takes is
-/// bounded.
+/// Maximum density of points for finding surfaces, points per second; denser ones are thinned. Surfaces are
+/// then known accurately enough, and the computing time is bounded.
 const MAX_POINTS_PER_SECOND: usize = 125_000;
 
 /// Points of a recording in the time of a trajectory.
@@ -20,11 +21,11 @@ const MAX_POINTS_PER_SECOND: usize = 125_000;
 pub(crate) struct TimedPoints<'a> {
     /// In order of time.
     pub points: &'a [StoredPoint],
-    /// Added to a point's seconds to get those of the trajectory.
+    /// Offset added to a point's seconds to get those of the trajectory.
     pub offset: f64,
-    /// How many sensors they are of.
+    /// Number of their sensors.
     pub sensors: usize,
-    /// What was found about these sensors.
+    /// Corrections of these sensors.
     pub corrections: Corrections,
 }
 
@@ -34,7 +35,7 @@ impl<'a> TimedPoints<'a> {
         point.seconds() + self.offset
     }
 
-    /// As corrected so far: when, and where in the tracking frame.
+    /// Corrected time, and position in the tracking frame.
     #[inline]
     pub fn place(&self, point: &StoredPoint) -> (f64, [f32; 3]) {
         self.corrections.place(point.sensor(), self.seconds(point), point.in_tracking)
@@ -47,8 +48,8 @@ impl<'a> TimedPoints<'a> {
         &self.points[start..end]
     }
 
-    /// As many points as finding surfaces needs, evenly of each sensor, so that no later step depends on how many the
-    /// recording has; none if it does not have more.
+    /// Points thinned to the density for finding surfaces, evenly for each sensor, so that the cost of later
+    /// steps does not depend on the density of the recording; none if it is not denser.
     pub fn thinned(&self) -> Option<Vec<StoredPoint>> {
         let (first, last) = (self.seconds(self.points.first()?), self.seconds(self.points.last()?));
         let blocks = (last - first).floor() as usize + 1;
@@ -75,19 +76,19 @@ impl<'a> TimedPoints<'a> {
     }
 }
 
-/// Stretches of time without gaps, in seconds since the first pose.
+/// Intervals of time without gaps, in seconds since the first pose.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Coverage {
     /// Ascending, disjoint.
     pub intervals: Vec<[f64; 2]>,
-    /// What lies between them.
+    /// Intervals between them.
     pub gaps: Vec<[f64; 2]>,
-    /// Seconds from one pose to the next, usually.
+    /// Usual interval from one pose to the next, seconds.
     pub usual_step: f64,
 }
 
 impl Coverage {
-    /// Looks for gaps in poses of ascending time.
+    /// Finds gaps in poses of ascending time.
     pub fn of(poses: &[(Time, Rigid3)]) -> Self {
         let Some(start) = poses.first().map(|p| p.0) else {
             return Self { intervals: Vec::new(), gaps: Vec::new(), usual_step: 0.0 };
@@ -122,7 +123,7 @@ impl Coverage {
         windows
     }
 
-    /// How many points lie within.
+    /// Number of points within the intervals.
     pub fn count(&self, points: &TimedPoints) -> usize {
         self.intervals.iter().map(|interval| points.between(*interval).len()).sum()
     }

@@ -1,8 +1,8 @@
-//! A trajectory as samples at equal steps of time: the input, and the input as corrected so far.
+//! A trajectory sampled at equal steps of time: the input, and the current corrected trajectory.
 //!
-//! What is optimised is a small increment, linear between knots in time, in world axes about the position of
-//! the tracking frame. Increments are composed onto the samples, so that stages with different knots add up
-//! without approximation, and whatever the input holds between knots (steps, vibration) is kept.
+//! The optimisation estimates a small increment, linear in time between knots, in world axes about the
+//! position of the tracking frame. Increments are composed onto the samples, so that stages with different
+//! knots add up without approximation, and the motion of the input between knots (steps, vibration) is kept.
 
 use portolan_geometry::{
     Quaternion, Rigid3, Time, Vector3, angle_axis_from_quaternion, interpolate, is_valid_pose,
@@ -15,17 +15,17 @@ use crate::RefineError;
 
 /// Seconds between samples of recordings of up to forty minutes.
 const STEP: f64 = 0.005;
-/// Velocities are taken over twice this, seconds.
+/// Half of the interval over which velocities are taken, seconds.
 const VELOCITY_STEP: f64 = 0.02;
-/// Most samples.
+/// Maximum number of samples.
 const MAX_SAMPLES: f64 = 500_000.0;
 
-/// A correction at one moment: `position += shift`, `rotation = turn · rotation`.
+/// A correction at one time: `position += shift`, `rotation = turn · rotation`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Correction {
-    /// Metres, in world axes.
+    /// Translation in world axes, metres.
     pub shift: Vector3,
-    /// In world axes, about the position of the tracking frame.
+    /// Rotation in world axes, about the position of the tracking frame.
     pub turn: Quaternion,
 }
 
@@ -34,7 +34,7 @@ pub struct Correction {
 pub struct DenseTrajectory {
     start: Time,
     step: f64,
-    /// The input, its jumps taken out.
+    /// The input, with its jumps removed.
     input: Vec<Rigid3>,
     current: Vec<Rigid3>,
     joints: Joints,
@@ -64,7 +64,7 @@ impl DenseTrajectory {
                 next += 1;
             }
             let [a, b] = [poses[next - 1], poses[next]].map(|(time, pose)| (time, joints.at(time) * pose));
-            // The last sample may lie up to a step after the last pose; the motion must not go on there.
+            // The last sample may be up to a step after the last pose; the motion must stop there.
             input.push(interpolate(a.0, &a.1, b.0, &b.1, time.min(last.0)));
         }
         Ok(Self { start: first.0, step, current: input.clone(), input, joints })
@@ -104,12 +104,12 @@ impl DenseTrajectory {
         self.joints.at(self.time(seconds)).inverse() * self.joined_pose(seconds)
     }
 
-    /// The pose of the input with its jumps taken out.
+    /// The pose of the input with its jumps removed.
     pub(crate) fn joined_pose(&self, seconds: f64) -> Rigid3 {
         between(&self.input, self.place(seconds))
     }
 
-    /// Jumps of the input that were taken out.
+    /// Jumps of the input that were removed.
     pub fn jumps(&self) -> &[Jump] {
         &self.joints.jumps
     }
@@ -118,7 +118,7 @@ impl DenseTrajectory {
         self.start + portolan_geometry::Duration::from_seconds(seconds)
     }
 
-    /// How the input (its jumps taken out) is corrected at a time.
+    /// Correction of the input (with its jumps removed) at a time.
     pub fn correction(&self, seconds: f64) -> Correction {
         let (i, f) = self.place(seconds);
         let turn = |i: usize| self.current[i].rotation * self.input[i].rotation.inverse();
@@ -129,7 +129,7 @@ impl DenseTrajectory {
         }
     }
 
-    /// A pose of the input, of which nothing is lost, as corrected.
+    /// Corrects a pose of the input, keeping its detail between samples.
     pub fn corrected(&self, time: Time, pose: &Rigid3) -> Rigid3 {
         let correction = self.correction(time.seconds_since(self.start));
         let joined = self.joints.at(time) * pose;
@@ -147,7 +147,8 @@ impl DenseTrajectory {
             else {
                 return;
             };
-            // Between the places that both transforms give: the world has no middle to turn about.
+            // Interpolates between the positions that both transforms give: the world has no centre to rotate
+            // about.
             let [from, to] = [a.1 * *pose, b.1 * *pose];
             let span = b.0 - a.0;
             let share = if span > 0.0 { ((seconds - a.0) / span).clamp(0.0, 1.0) } else { 1.0 };
@@ -158,7 +159,7 @@ impl DenseTrajectory {
         }
     }
 
-    /// Applies an increment: for each knot a shift (metres) and a turn (rotation vector).
+    /// Applies an increment: for each knot a translation (metres) and a rotation (rotation vector).
     pub fn apply(&mut self, knots: &Knots, increment: &[f64]) {
         for (i, pose) in self.current.iter_mut().enumerate() {
             let (knot, f) = knots.place(i as f64 * self.step);
@@ -173,32 +174,32 @@ impl DenseTrajectory {
         }
     }
 
-    /// Moves and turns the whole current trajectory as one body so that its first pose is again that of
-    /// the input: the gauge. Returns what was moved by.
+    /// Moves the whole current trajectory rigidly so that its first pose is again that of the input: the
+    /// gauge. Returns the motion.
     pub fn anchor_first_pose(&mut self) -> Rigid3 {
         let change = self.input[0] * self.current[0].inverse();
         self.move_whole(&change);
         change
     }
 
-    /// Moves and turns the whole current trajectory as one body.
+    /// Moves the whole current trajectory rigidly.
     pub fn move_whole(&mut self, change: &Rigid3) {
         for pose in &mut self.current {
             *pose = change * *pose;
         }
     }
 
-    /// Whether all current poses are finite, and their rotations are rotations.
+    /// Whether all current poses are finite and have valid rotations.
     pub fn is_valid(&self) -> bool {
         self.current.iter().all(is_valid_pose)
     }
 
-    /// Takes back everything.
+    /// Resets the current trajectory to the input.
     pub fn reset(&mut self) {
         self.current.clone_from(&self.input);
     }
 
-    /// Largest shift (metres) and turn (radians) of the current against the input trajectory.
+    /// Largest translation (metres) and rotation (radians) of the current trajectory against the input.
     pub fn largest_correction(&self) -> (f64, f64) {
         let samples = self.input.iter().zip(&self.current).enumerate();
         samples.fold((0.0, 0.0), |(shift, turn), (i, (joined, b))| {
@@ -249,8 +250,8 @@ fn between(poses: &[Rigid3], (i, f): (usize, f64)) -> Rigid3 {
     Rigid3::from_parts(na::Translation3::from(translation), rotation)
 }
 
-/// Poses at equal steps as 3×4 matrices, interpolated element by element: within 5 ms that is as good as
-/// on the sphere (a turn of 5 rad/s is off by less than 0.01 %).
+/// Poses at equal steps as 3×4 matrices, interpolated element by element: within 5 ms that is as accurate as
+/// on the sphere (for a rotation of 5 rad/s the error is below 0.01 %).
 #[derive(Clone, Debug)]
 pub struct PoseMatrices {
     first: usize,
@@ -269,7 +270,7 @@ impl PoseMatrices {
         std::array::from_fn(|k| a[k] + (b[k] - a[k]) * f)
     }
 
-    /// A point of the tracking frame at a time in the world.
+    /// Transforms a point of the tracking frame at a time to the world.
     #[inline]
     pub fn to_world(&self, seconds: f64, in_tracking: [f32; 3]) -> [f64; 3] {
         let m = self.at(seconds);

@@ -17,7 +17,7 @@ use super::unknowns::{Bordered, PER_SENSOR, SensorIncrement, SensorUnknowns, blo
 use super::{DenseTrajectory, Knots};
 use crate::RefineError;
 
-/// How one iteration went.
+/// Result of one iteration.
 #[derive(Clone, Debug)]
 pub(crate) struct FineStep {
     pub clusters: usize,
@@ -25,7 +25,7 @@ pub(crate) struct FineStep {
     pub rms: f64,
     /// Largest shift of a knot, metres.
     pub shift: f64,
-    /// What the surfaces determine, second by second.
+    /// Information of the surfaces, second by second.
     pub information: Vec<Matrix6<f64>>,
     /// Increment of the knots.
     pub knots: Vec<f64>,
@@ -33,27 +33,27 @@ pub(crate) struct FineStep {
     pub sensors: Vec<SensorIncrement>,
 }
 
-/// What a fine step works with.
+/// Input of a fine step.
 pub(crate) struct FineProblem<'a> {
     pub map: &'a SurfelMap,
     pub corrections: &'a Corrections,
     pub trajectory: &'a DenseTrajectory,
     pub knots: &'a Knots,
-    /// What is known of the motion from knot to knot.
+    /// Measurements of the motion from knot to knot.
     pub motion: &'a [MotionTerm],
-    /// What is known of single moments.
+    /// Measurements at single times.
     pub moments: &'a [UnaryTerm],
     pub sensors: &'a SensorUnknowns,
-    /// A gap of so many metres separates planes.
+    /// Distance that separates planes, metres.
     pub gap: f64,
-    /// How exactly the equations are solved: the fraction of the residual that may be left.
+    /// Tolerance of the solution: the fraction of the residual that may remain.
     pub tolerance: f64,
-    /// Whether covariances of the sensors are wanted.
+    /// Whether covariances of the sensors are computed.
     pub covariance: bool,
 }
 
-/// One Gauss–Newton step over all knots: surfels are grouped into planes at the current trajectory, clusters are placed
-/// anew, and trajectory, planes and sensors are solved for together. Nothing is changed.
+/// One Gauss–Newton step over all knots: surfels are grouped into planes at the current trajectory, clusters
+/// are placed anew, and trajectory, planes and sensors are solved for together. The state is not changed.
 pub(crate) fn fine_step(problem: &FineProblem) -> Result<FineStep, RefineError> {
     let FineProblem { map, corrections, trajectory, knots, sensors, .. } = *problem;
     let placed = place(map, corrections, trajectory);

@@ -1,10 +1,12 @@
-//! Cross-validation: whether surfaces that took no part in the fit agree better with the result than with the input.
+//! Cross-validation: tests whether surfaces that took no part in the fit agree better with the result than
+//! with the input.
 //!
-//! A fraction of space, in blocks, is kept out of the fit. Afterwards the patches seen there are paired, window with window,
-//! once with the input and once with the result, and the distance of each pair is taken with both: with windows that are
-//! near in time it shows how thick surfaces are, with others how well passes agree. Where held-out surfaces
-//! fit worse than with the input, the fit has followed something that is not the motion, and the input's motion
-//! is kept (hold-out validation; Arlot and Celisse, "A survey of cross-validation procedures for model selection", 2010).
+//! A fraction of space, in blocks, is held out of the fit. Afterwards the patches there are paired, window
+//! with window, once with the input and once with the result, and the distance of each pair is computed with
+//! both. Windows near in time show the thickness of surfaces, others the agreement of passes. Where held-out
+//! surfaces fit worse than with the input, the fit has followed something other than the motion, and the
+//! motion of the input is kept (hold-out validation; Arlot and Celisse, "A survey of cross-validation
+//! procedures for model selection", 2010).
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -21,37 +23,37 @@ use super::dense_trajectory::PoseMatrices;
 use super::pairs::{PlacedSurfel, find_pairs, place};
 use super::surfels::SurfelMap;
 
-/// Edge of the blocks of space that are kept out, metres: some patches wide.
+/// Edge of the blocks of space that are held out, metres: the width of several patches.
 const BLOCK: f64 = 4.0;
-/// One block of so many is kept out.
+/// One of this many blocks is held out.
 const ONE_OF: u32 = 5;
-/// Pairs are looked for up to this distance across a surface, metres; more costs no more.
+/// Maximum distance of pairs across a surface, metres; larger distances count as this.
 const REACH: f64 = 0.3;
-/// Windows more than so many numbers apart are different passes.
+/// Difference of window numbers above which windows are different passes.
 const PASS: usize = 5;
-/// Windows that are judged together: in one alone chance decides.
+/// Number of windows that are evaluated together: single windows are dominated by chance.
 const TOGETHER: usize = 10;
-/// Fewer pairs of windows are not judged.
+/// Minimum number of pairs of windows for an evaluation.
 const LEAST_PAIRS: usize = 30;
-/// Worse by so many standard errors is worse …
+/// Number of standard errors from which the result is worse, if it is also [`RELEVANT`].
 const SIGNIFICANT: f64 = 3.0;
-/// … if it is at least this fraction of the cost.
+/// Minimum fraction of the cost by which the result must be worse.
 const RELEVANT: f64 = 0.1;
-/// Scale of the robust cost at least, metres: the noise of ranges.
+/// Minimum scale of the robust cost, metres: the noise of ranges.
 const LEAST_SCALE: f64 = 0.02;
 
-/// Which points are looked at.
+/// A part of the points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Part {
-    /// All.
+    /// All points.
     All,
-    /// Those that are fitted.
+    /// Points that are fitted.
     Fitted,
-    /// Those that are kept out of the fit.
+    /// Points that are held out of the fit.
     HeldOut,
 }
 
-/// A part of the points: by blocks of the world as the input sees it.
+/// Selects a part of the points, by blocks of the world as placed by the input.
 #[derive(Clone, Copy)]
 pub(crate) struct Selection<'a> {
     pub part: Part,
@@ -60,7 +62,7 @@ pub(crate) struct Selection<'a> {
 }
 
 impl Selection<'_> {
-    /// Whether a point, given by its time and place in the tracking frame as recorded, belongs to the part.
+    /// Whether a point, given by its recorded time and position in the tracking frame, belongs to the part.
     #[inline]
     pub fn contains(&self, seconds: f64, in_tracking: [f32; 3]) -> bool {
         let wanted = match self.part {
@@ -74,10 +76,10 @@ impl Selection<'_> {
     }
 }
 
-/// How well patches that were kept out of the fit agree.
+/// Agreement of patches that were held out of the fit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Agreement {
-    /// Pairs of windows that show the same surfaces.
+    /// Number of pairs of windows with the same surfaces.
     pub pairs: usize,
     /// Root mean square distance with the input, metres; distances of 0.3 m and more count as 0.3 m.
     pub before: f64,
@@ -85,17 +87,17 @@ pub struct Agreement {
     pub after: f64,
 }
 
-/// What cross-validation says of a refinement.
+/// Result of the cross-validation of a refinement.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct CrossValidation {
-    /// Windows near in time: how thick surfaces are.
+    /// Windows near in time: thickness of surfaces.
     pub near_in_time: Agreement,
-    /// Windows of different passes: how well these agree.
+    /// Windows of different passes: agreement of these.
     pub between_passes: Agreement,
-    /// Where the input's motion was kept because surfaces kept out of the fit agreed less with the result
-    /// (from, to; seconds since the start of the trajectory).
+    /// Intervals in which the motion of the input was kept because held-out surfaces agreed less with the
+    /// result (from, to; seconds since the start of the trajectory).
     pub refused: Vec<[f64; 2]>,
-    /// Whether all of the result was refused.
+    /// Whether the whole result was refused.
     pub is_refused: bool,
 }
 
@@ -107,10 +109,11 @@ struct Costs {
     squares: [f64; 2],
 }
 
-/// Two windows and their costs.
+/// Numbers of two windows, and their costs.
 type Sample<'a> = (&'a (usize, usize), &'a Costs);
 
-/// Compares the agreement of held-out patches with the result to that with the input. None where there are too few.
+/// Compares the agreement of held-out patches with the result to that with the input. None if there are too
+/// few.
 pub(super) fn judge(
     map: &SurfelMap,
     corrections: &Corrections,
@@ -142,13 +145,13 @@ pub(super) fn judge(
     Some(result)
 }
 
-/// Robust costs (Geman and McClure 1987) and squares of the distances of pairs, by their windows.
+/// Robust costs (Geman and McClure 1987) and squares of the distances of pairs, for each pair of windows.
 fn costs_of_windows(map: &SurfelMap, placed: &[Vec<PlacedSurfel>; 2]) -> BTreeMap<(usize, usize), Costs> {
     let window_of = |surfel: u32| {
         let index = map.windows.partition_point(|w| w.surfels.end <= surfel as usize);
         map.windows[index].number
     };
-    // What only one of both takes for one surface counts, too.
+    // Pairs found with only one of both count, too.
     let mut pairs: BTreeSet<(u32, u32)> = BTreeSet::new();
     for placed in placed {
         let found = find_pairs(map, placed, REACH, None);
@@ -161,7 +164,7 @@ fn costs_of_windows(map: &SurfelMap, placed: &[Vec<PlacedSurfel>; 2]) -> BTreeMa
     };
     let distances: Vec<((u32, u32), [f64; 2])> =
         pairs.into_iter().map(|pair| (pair, [0, 1].map(|k| distance(&placed[k], pair)))).collect();
-    // The better half of both tells how flat patches are.
+    // The smaller distances of both determine the flatness of patches.
     let mut smaller: Vec<f64> = distances.iter().map(|(_, [a, b])| a.min(*b)).collect();
     smaller.sort_by(f64::total_cmp);
     let scale = smaller.get(smaller.len() / 2).map_or(LEAST_SCALE, |median| median / 0.6745).max(LEAST_SCALE);
@@ -178,7 +181,7 @@ fn costs_of_windows(map: &SurfelMap, placed: &[Vec<PlacedSurfel>; 2]) -> BTreeMa
     costs
 }
 
-/// Those of which a window is one of some.
+/// The samples of which one window is in the range.
 fn touching<'a>(costs: &[Sample<'a>], windows: &Range<usize>) -> Vec<Sample<'a>> {
     let touches = |(a, b): &(usize, usize)| windows.contains(a) || windows.contains(b);
     costs.iter().filter(|(pair, _)| touches(pair)).copied().collect()
@@ -190,8 +193,8 @@ fn agreement(costs: &[Sample]) -> Agreement {
     Agreement { pairs: costs.len(), before: rms(0), after: rms(1) }
 }
 
-/// Whether pairs fit worse with the result than with the input. Pairs of the same two windows are wrong in the same way:
-/// together they are one sample.
+/// Whether pairs fit worse with the result than with the input. Errors of pairs of the same two windows are
+/// correlated, so together they are one sample.
 fn is_worse(costs: &[Sample]) -> bool {
     if costs.len() < LEAST_PAIRS {
         return false;
@@ -205,7 +208,7 @@ fn is_worse(costs: &[Sample]) -> bool {
     worse > SIGNIFICANT * (variance / number).sqrt() && worse > RELEVANT * before
 }
 
-/// When the patches of some windows were seen, seconds.
+/// Time span of the patches of some windows, seconds.
 fn span(map: &SurfelMap, duration: f64, windows: &Range<usize>) -> Option<[f64; 2]> {
     let own = map.windows.iter().filter(|w| windows.contains(&w.number));
     let times = own.flat_map(|w| &map.surfels[w.surfels.clone()]).map(|surfel| surfel.seconds);
@@ -213,7 +216,7 @@ fn span(map: &SurfelMap, duration: f64, windows: &Range<usize>) -> Option<[f64; 
     (from < to).then(|| [from.max(0.0), to.min(duration)])
 }
 
-/// Neighbouring spans become one.
+/// Joins neighbouring spans.
 fn join(spans: &mut Vec<[f64; 2]>) {
     const GAP: f64 = 2.0;
     spans.dedup_by(|next, last| {
@@ -225,8 +228,8 @@ fn join(spans: &mut Vec<[f64; 2]>) {
     });
 }
 
-/// Gives a trajectory the input's motion within spans: its correction goes evenly from what it is before to what it is
-/// after, so that nothing around is moved.
+/// Gives a trajectory the motion of the input within spans. Its correction changes linearly from the value
+/// before to the value after the span, so that nothing around is moved.
 pub(super) fn keep_input(trajectory: &mut DenseTrajectory, spans: &[[f64; 2]]) {
     const STEP: f64 = 0.1;
     for [from, to] in spans {
@@ -287,7 +290,7 @@ mod tests {
             is_worse(&costs.iter().collect::<Vec<_>>())
         };
         assert!(is_worse_by(1.0, 1.0) && !is_worse_by(-1.0, 1.0));
-        // Hardly noticeable; and nothing but chance.
+        // A difference that is hardly noticeable, and one by chance.
         assert!(!is_worse_by(0.2, 0.1) && !is_worse_by(0.5, 8.0));
         let few = costs(&|_| 8.0);
         assert!(!is_worse(&few.iter().take(LEAST_PAIRS - 1).collect::<Vec<_>>()), "too few");

@@ -1,20 +1,20 @@
-//! What the surfaces seen at a time determine.
+//! Finds directions that the surfaces measured at a time do not determine.
 
 use nalgebra::{Matrix3, Matrix6, SymmetricEigen};
 use portolan_geometry::Vector3;
 
 use super::report::Undetermined;
 
-/// Seconds that are looked at together.
+/// Length of the intervals of which the information is summed, seconds.
 pub(crate) const SECONDS: f64 = 1.0;
-/// A direction with less than this fraction of the information of the best one is not determined: normals that
-/// are off by two degrees would feign as much.
+/// Fraction of the information of the best direction below which a direction is not determined: errors of
+/// normals of two degrees would feign as much.
 pub(crate) const LEAST_SHARE: f64 = 2e-3;
-/// Directions this near (cosine) in consecutive seconds are one.
+/// Cosine above which directions in consecutive seconds are the same.
 const SAME: f64 = 0.94;
 
-/// Finds directions that are not determined, from the information (shift, turn about the tracking frame; world
-/// axes) of each second; empty seconds (no surfaces at all) are left to other warnings.
+/// Finds undetermined directions, from the information (translation, rotation about the tracking frame; world
+/// axes) of each second. Empty seconds (without surfaces) are covered by other warnings.
 pub(crate) fn undetermined(information: &[Matrix6<f64>]) -> Vec<Undetermined> {
     let mut found: Vec<Undetermined> = Vec::new();
     for (second, matrix) in information.iter().enumerate() {
@@ -41,7 +41,7 @@ pub(crate) fn undetermined(information: &[Matrix6<f64>]) -> Vec<Undetermined> {
     found
 }
 
-/// Directions of the own part with little information once the other part is eliminated.
+/// Directions of the block `own` with little information once the block `other` is eliminated.
 fn weak_directions(own: Matrix3<f64>, between: Matrix3<f64>, other: Matrix3<f64>) -> Vec<Vector3> {
     let slack = Matrix3::identity() * (1e-9 * other.trace().max(f64::MIN_POSITIVE));
     let Some(inverse) = (other + slack).try_inverse() else { return Vec::new() };

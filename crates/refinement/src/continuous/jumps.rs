@@ -1,20 +1,21 @@
-//! Jumps of an input: between two poses it goes on somewhere else, as after a loop closure while it was recorded. Nothing
-//! moves so, and the seconds around a jump would not fit together; so the pieces are joined as the motion before
-//! and after goes on. Drift that the jump had taken away comes back; to take that away is what refinement is for.
+//! Removes jumps of an input: between two poses it continues at another pose, as after a loop closure during
+//! recording. No platform moves like that, and the seconds around a jump would not fit together. So the
+//! pieces are joined according to the motion before and after. Drift that the jump had corrected returns;
+//! removing it is the task of the refinement.
 
 use portolan_geometry::{Rigid3, Time, angle_axis_from_quaternion, quaternion_from_angle_axis};
 use serde::Serialize;
 
-/// A jump is so many times what motions usually depart from those before and after …
+/// Minimum size of a jump, as a multiple of the usual deviation of motions from those before and after.
 const TIMES: f64 = 12.0;
-/// … and at least this, metres and radians.
+/// Minimum size of a jump, metres and radians.
 const LEAST: (f64, f64) = (0.05, 0.02);
-/// Steps longer than so many usual ones are no jumps: poses are missing.
+/// Length of a step, in usual steps, above which poses are missing and it is not a jump.
 const BRIDGED: f64 = 4.0;
-/// More jumps are no jumps: the input is rough.
+/// Fraction of jumps above which the input is rough and has no jumps.
 const MOST_SHARE: f64 = 0.01;
 
-/// A jump of the input that was taken out.
+/// A jump of the input that was removed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Jump {
     /// Seconds since the first pose.
@@ -25,16 +26,16 @@ pub struct Jump {
     pub rotation: f64,
 }
 
-/// What joins the pieces of an input.
+/// The transforms that join the pieces of an input.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Joints {
-    /// From when on poses are moved how.
+    /// Times, and the transforms of poses from these times on.
     from: Vec<(Time, Rigid3)>,
     pub jumps: Vec<Jump>,
 }
 
 impl Joints {
-    /// Looks for jumps.
+    /// Finds jumps.
     pub fn of(poses: &[(Time, Rigid3)]) -> Self {
         let expected = |i: usize| -> Option<Rigid3> {
             let [a, b, c, d] = [i.checked_sub(1)?, i, i + 1, i + 2];
@@ -54,7 +55,7 @@ impl Joints {
         let mut steps: Vec<f64> = poses.windows(2).map(|pair| pair[1].0.seconds_since(pair[0].0)).collect();
         steps.sort_by(f64::total_cmp);
         let longest = BRIDGED * steps.get(steps.len() / 2).copied().unwrap_or(0.0);
-        // Over missing poses nobody knows how the motion went on.
+        // The motion during missing poses is unknown.
         let is_near = |i: usize| poses[i + 1].0.seconds_since(poses[i].0) <= longest;
         let departures: Vec<(f64, f64)> = (0..poses.len().saturating_sub(1))
             .map(|i| {
@@ -72,7 +73,7 @@ impl Joints {
         };
         let limits = (LEAST.0.max(TIMES * usual(|d| d.0)), LEAST.1.max(TIMES * usual(|d| d.1)));
         let is_large = |i: usize| departures.get(i).is_some_and(|d| d.0 > limits.0 || d.1 > limits.1);
-        // The motions beside a jump depart too, by half of it.
+        // The motions beside a jump deviate too, by half of it.
         let size = |i: usize| departures.get(i).map_or(0.0, |d| d.0 / limits.0 + d.1 / limits.1);
         let is_jump =
             |i: &usize| is_large(*i) && size(*i) >= size(i.wrapping_sub(1)) && size(*i) > size(i + 1);
@@ -84,7 +85,7 @@ impl Joints {
         let mut moved = Rigid3::identity();
         for i in found {
             let Some(expected) = expected(i) else { continue };
-            // Pose i, as moved, goes on as expected.
+            // Pose i, as moved, continues as expected.
             moved = moved * poses[i].1 * expected * poses[i + 1].1.inverse();
             joints.from.push((poses[i + 1].0, moved));
             let seconds = poses[i + 1].0.seconds_since(poses[0].0);
@@ -93,7 +94,7 @@ impl Joints {
         joints
     }
 
-    /// How poses at a time are moved.
+    /// The transform of poses at a time.
     pub fn at(&self, time: Time) -> Rigid3 {
         let next = self.from.partition_point(|(from, _)| *from <= time);
         next.checked_sub(1).map_or(Rigid3::identity(), |i| self.from[i].1)
@@ -127,7 +128,7 @@ mod tests {
             assert!(error < 0.2, "{error} at {}", time.unix_seconds());
         }
         assert!(Joints::of(&truth[..2]).jumps.is_empty());
-        // While poses are missing, the motion may go anywhere.
+        // The motion during missing poses is arbitrary.
         let mut with_gap = truth.clone();
         with_gap.drain(60..70);
         assert!(Joints::of(&with_gap).jumps.is_empty());

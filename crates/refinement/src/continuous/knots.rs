@@ -14,22 +14,22 @@ impl Knots {
         Self { spacing: duration / intervals, count: intervals as usize + 1 }
     }
 
-    /// How many.
+    /// Number of knots.
     pub fn count(&self) -> usize {
         self.count
     }
 
-    /// Seconds between two.
+    /// Seconds between two knots.
     pub fn spacing(&self) -> f64 {
         self.spacing
     }
 
-    /// When a knot is.
+    /// Time of a knot, seconds.
     pub fn seconds(&self, knot: usize) -> f64 {
         knot as f64 * self.spacing
     }
 
-    /// The knot before a time and how far it is towards the next, 0 to 1; clamped to the span.
+    /// The knot before a time and the position between it and the next, 0 to 1; clamped to the span.
     #[inline]
     pub fn place(&self, seconds: f64) -> (usize, f64) {
         let at = (seconds / self.spacing).clamp(0.0, (self.count - 1) as f64);

@@ -1,10 +1,11 @@
-//! Holding the long shape of a trajectory where no pass returns.
+//! Keeps the long-range shape of a trajectory where no pass returns.
 //!
-//! Scans that follow each other overlap, so that a refinement makes their common surfaces sharp. But a systematic
-//! error of the lidar (a beam's angle, ranges at grazing incidence) turns each scan a little against the one before,
-//! always the same way: surfaces stay sharp and a straight street bends. Sharpness cannot tell. Where the scanner comes
-//! back to where it was, surfaces of both passes tell; elsewhere nothing does, and slow changes of the correction
-//! are left out there: what the input says of the motion over more than a few seconds stays.
+//! Consecutive scans overlap, so a refinement makes their common surfaces sharp. But a systematic error of
+//! the lidar (the angle of a beam, ranges at grazing incidence) rotates each scan a little against the one
+//! before, always in the same direction: surfaces stay sharp and a straight street bends. Sharpness does not
+//! show this error. Where the scanner returns to a place, the surfaces of both passes constrain it. Elsewhere
+//! nothing does, and slow changes of the correction are left out there: the motion of the input over more
+//! than a few seconds is kept.
 
 use portolan_geometry::{
     Rigid3, Vector3, angle_axis_from_quaternion, nalgebra as na, quaternion_from_angle_axis,
@@ -12,22 +13,22 @@ use portolan_geometry::{
 
 use super::DenseTrajectory;
 
-/// Changes of the correction slower than this are slow, seconds (standard deviation of the window).
+/// Time scale above which changes of the correction are slow, seconds (standard deviation of the window).
 const SLOW: f64 = 2.0;
-/// Corrections are looked at in steps of this, seconds.
+/// Sampling interval of corrections, seconds.
 const STEP: f64 = 0.1;
-/// The scanner is back if it is this near to where it was, metres …
+/// Distance within which the scanner counts as back at a place, metres.
 const RETURN: f64 = 15.0;
-/// … after a path so many times as long …
+/// Minimum ratio of the path length to that distance.
 const DETOUR: f64 = 3.0;
-/// … and of at least so many metres.
+/// Minimum path length of a return, metres.
 const LEAST_WAY: f64 = 5.0;
-/// A turn shows the same surfaces to other beams, metres of way for each radian.
+/// Path length that a rotation counts as, metres for each radian: it shows the same surfaces to other beams.
 const METRES_PER_RADIAN: f64 = 2.0;
-/// Most places that are compared with each other.
+/// Maximum number of places that are compared with each other.
 const MOST_PLACES: usize = 3000;
 
-/// Seconds from and to, in order, that lie on some way that comes back.
+/// Intervals from and to, seconds, in order, on path segments that return.
 pub(super) fn returning(trajectory: &DenseTrajectory) -> Vec<[f64; 2]> {
     let duration = trajectory.duration();
     let count = ((duration / STEP).ceil() as usize + 1).min(MOST_PLACES);
@@ -39,7 +40,7 @@ pub(super) fn returning(trajectory: &DenseTrajectory) -> Vec<[f64; 2]> {
         let step = motion.translation.vector.norm() + METRES_PER_RADIAN * motion.rotation.angle();
         ways[i] = ways[i - 1] + step;
     }
-    // For each place the last one at which the scanner was back.
+    // For each place the last time at which the scanner was back.
     let mut spans: Vec<[f64; 2]> = Vec::new();
     for i in 0..count {
         let is_back = |j: &usize| {
@@ -56,7 +57,7 @@ pub(super) fn returning(trajectory: &DenseTrajectory) -> Vec<[f64; 2]> {
     spans
 }
 
-/// A correction as numbers that may be averaged: a shift in world axes and a rotation vector.
+/// A correction as numbers that can be averaged: translation in world axes and a rotation vector.
 type Numbers = na::Vector6<f64>;
 
 fn numbers(trajectory: &DenseTrajectory, seconds: f64) -> Numbers {
@@ -66,8 +67,8 @@ fn numbers(trajectory: &DenseTrajectory, seconds: f64) -> Numbers {
     Numbers::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z)
 }
 
-/// What of the correction in a span changes slowly: at each sample the line that fits its surroundings best (local
-/// linear regression with Gaussian weights).
+/// The slowly changing part of a correction in a span: at each sample the line that fits its surroundings
+/// best (local linear regression with Gaussian weights).
 fn slow_part(samples: &[(f64, Numbers)]) -> Vec<Numbers> {
     let at = |t: f64| {
         let (mut w0, mut w1, mut w2) = (0.0, 0.0, 0.0);
@@ -86,11 +87,12 @@ fn slow_part(samples: &[(f64, Numbers)]) -> Vec<Numbers> {
     samples.iter().map(|(time, _)| at(*time)).collect()
 }
 
-/// Takes slow changes of the correction out wherever no way comes back. Seconds for which that was done.
+/// Removes slow changes of the correction wherever the path does not return. Returns the seconds for which
+/// that was done.
 pub(super) fn keep(trajectory: &mut DenseTrajectory) -> f64 {
     let duration = trajectory.duration();
     let mut held = 0.0;
-    // What comes later goes along with what was moved before.
+    // Later parts move along with earlier ones.
     let mut whole = Rigid3::identity();
     let mut moved: Vec<(f64, Rigid3)> = Vec::new();
     let mut from = 0.0;

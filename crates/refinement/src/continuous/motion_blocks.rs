@@ -1,4 +1,4 @@
-//! What is known of the motion, summed up as a block-tridiagonal matrix over the knots.
+//! Sums up measurements of the motion as a block-tridiagonal matrix over the knots.
 
 use nalgebra::Matrix6;
 
@@ -75,15 +75,15 @@ impl MotionBlocks {
         }
     }
 
-    /// The matrix with the blocks of other terms (diagonal and below it, row-major 6×6) that `add` adds: a
-    /// preconditioner. None if it is not positive definite.
+    /// A preconditioner: the matrix with the blocks of other terms (diagonal and below it, row-major 6×6)
+    /// that `add` adds. None if it is not positive definite.
     pub fn preconditioner(
         &self,
         add: impl FnOnce(&mut [[f64; 36]], &mut [[f64; 36]]),
     ) -> Option<BlockTridiagonal> {
         let (mut diagonal, mut below) = (self.diagonal.clone(), self.below.clone());
         add(&mut diagonal, &mut below);
-        // Nothing is known about the place of the whole, so that a trace of stiffness is needed.
+        // The pose of the whole is unconstrained, so a small stiffness is needed.
         let matrix = |block: &[f64; 36]| Matrix6::from_row_slice(block);
         let diagonal: Vec<Matrix6<f64>> =
             diagonal.iter().map(|b| matrix(b) + Matrix6::identity() * 1e-3).collect();

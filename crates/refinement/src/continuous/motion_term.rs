@@ -1,11 +1,11 @@
-//! What is known of the motion from knot to knot, whoever measured it, as terms of the optimisation.
+//! Measurements of the motion from knot to knot, from any sensor, as terms of the optimisation.
 
 use nalgebra::Matrix3;
 use portolan_geometry::{Rigid3, Vector3, angle_axis_from_quaternion};
 
 use super::{DenseTrajectory, Knots};
 
-/// Motions that are off by more than this many standard deviations lose weight (Cauchy): inputs jump, wheels slip.
+/// Number of standard deviations above which motions lose weight (Cauchy): inputs jump, wheels slip.
 const ROBUST: f64 = 3.0;
 
 /// One motion between neighbouring knots, linearised: the residual is
@@ -15,17 +15,18 @@ pub(crate) struct MotionTerm {
     knot: usize,
     pub translation: Vector3,
     pub rotation: Vector3,
-    /// The measured motion, turned as the current trajectory is.
+    /// The measured translation, rotated into the world by the current trajectory.
     motion: Vector3,
-    /// Columns: the axes along which the weights hold.
+    /// Columns: the axes of the weights.
     axes: Matrix3<f64>,
     /// Inverse variances of translation and rotation.
     weights: [f64; 6],
 }
 
 impl MotionTerm {
-    /// The term of a motion (tracking frame at the knot from tracking frame at the next) with standard deviations of
-    /// translation (metres) and rotation (radians) along the axes of the tracking frame; infinite ones say nothing.
+    /// The term of a motion (tracking frame at the knot from tracking frame at the next) with standard
+    /// deviations of translation (metres) and rotation (radians) along the axes of the tracking frame;
+    /// infinite ones do not constrain.
     pub fn new(
         trajectory: &DenseTrajectory,
         knots: &Knots,
@@ -44,7 +45,7 @@ impl MotionTerm {
         Self { knot, translation, rotation, motion: moved, axes, weights }.robust()
     }
 
-    /// Shift and turn weighted down as far as they are off.
+    /// Reduces the weights of translation and rotation according to their residuals.
     fn robust(mut self) -> Self {
         for (first, residual) in [(0, self.translation), (3, self.rotation)] {
             let along = self.axes.tr_mul(&residual);
@@ -66,7 +67,8 @@ impl MotionTerm {
         [t.x, t.y, t.z, r.x, r.y, r.z]
     }
 
-    /// Rows of the Jacobian with respect to the increments (shift, turn) of both knots, residual, and weight.
+    /// Rows of the Jacobian with respect to the increments (translation, rotation) of both knots, residual,
+    /// and weight.
     pub fn rows(&self) -> [([f64; 12], f64, f64); 6] {
         std::array::from_fn(|row| {
             let axis: Vector3 = self.axes.column(row % 3).into_owned();
@@ -118,7 +120,7 @@ mod tests {
             for (row, (jacobian, _, _)) in before.rows().into_iter().enumerate() {
                 let axis: Vector3 = before.axes.column(row % 3).into_owned();
                 let numeric = if row < 3 { change.0.dot(&axis) } else { change.1.dot(&axis) };
-                // The logarithm is taken as linear, which is off by half the (small) residual.
+                // The logarithm is linearised, with an error of half the (small) residual.
                 assert!(
                     (numeric - jacobian[k]).abs() < 0.2,
                     "row {row}, unknown {k}: {numeric} {}",

@@ -1,5 +1,5 @@
-//! How sensors and clocks sit against each other, judged by motions: those of the refined trajectory, which the points
-//! have determined, against those of the input or of the IMU.
+//! Estimates mountings and clocks of sensors relative to each other from motions: those of the refined
+//! trajectory, which the points have determined, against those of the input or of the IMU.
 
 use nalgebra::DVector;
 use portolan_geometry::{
@@ -11,32 +11,33 @@ use super::DenseTrajectory;
 use super::regression::{Fit, fit};
 use crate::motion_sensors::MotionSensors;
 
-/// Motions over this are compared, seconds.
+/// Duration of the motions that are compared, seconds.
 const STRETCH: f64 = 0.5;
-/// At most so many of them, spread over the whole.
+/// Maximum number of these motions, spread over the whole.
 const MOST: usize = 1500;
-/// What is found must be so many standard deviations away from nothing …
+/// Number of standard deviations by which an estimate must differ from zero.
 const SIGNIFICANT: f64 = 8.0;
-/// … explain at least this fraction of the differences (a wrong mounting explains nearly all, errors that happen to be alike at
-/// every corner a quarter) …
+/// Minimum fraction of the differences that an estimate must explain. A wrong mounting explains nearly all of
+/// them, errors that happen to be similar at every corner a quarter.
 const EXPLAINED: f64 = 0.4;
-/// … and matter: metres, radians, seconds.
+/// Minimum size of an estimate that matters: metres, radians, seconds.
 const MATTERS: [f64; 3] = [0.005, 0.002, 0.003];
-/// It is looked for in so many parts of the time, too, and must be the same but for this fraction of itself.
+/// Number of parts of the time for which the estimate is repeated.
 const PARTS: usize = 3;
+/// Maximum difference of these estimates, as a fraction of the estimate.
 const CONSTANT: f64 = 0.4;
-/// Standard deviations beforehand: shift (metres), turn (radians), delay (seconds), bias of a gyroscope (rad/s), of an
-/// accelerometer and gravity (m/s²).
+/// Prior standard deviations: translation (metres), rotation (radians), delay (seconds), bias of a gyroscope
+/// (rad/s), of an accelerometer and gravity (m/s²).
 const PRIOR: [f64; 6] = [0.5, 0.3, 0.2, 0.1, 0.3, 20.0];
-/// What is known less well than this fraction of what was known beforehand is not determined by the motion.
+/// Ratio of the estimated to the prior standard deviation above which the motion does not determine a value.
 const DETERMINED: f64 = 0.3;
 
-/// How one sensor sits against another, with standard deviations.
+/// Mounting of one sensor relative to another, with standard deviations.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Mounting {
-    /// What was compared.
+    /// Name of the comparison.
     pub what: String,
-    /// Metres, axes of the tracking frame.
+    /// Translation, metres, axes of the tracking frame.
     pub translation: [f64; 3],
     /// Its standard deviations.
     pub translation_deviation: [f64; 3],
@@ -48,7 +49,7 @@ pub struct Mounting {
     pub delay: f64,
     /// Its standard deviation.
     pub delay_deviation: f64,
-    /// What the motion does not determine.
+    /// Names of the components that the motion does not determine.
     pub undetermined: Vec<&'static str>,
 }
 
@@ -107,7 +108,7 @@ impl Mounting {
     }
 }
 
-/// Moments at which stretches begin, spread over the trajectory.
+/// Times at which the compared motions begin, spread over the trajectory.
 fn moments(trajectory: &DenseTrajectory) -> Vec<f64> {
     let last = trajectory.duration() - STRETCH - 2.0 * PRIOR[2];
     let count = ((last - PRIOR[2]) / (0.5 * STRETCH)).max(0.0) as usize;
@@ -127,9 +128,9 @@ fn seven(fit: &Fit) -> ([f64; 7], [f64; 7]) {
     (std::array::from_fn(|k| fit.value[k]), std::array::from_fn(|k| fit.deviation(k)))
 }
 
-/// What one turn and shift of the sensors against the tracking frame, and one delay of the trajectory, explain of
-/// the difference between input and result: its motions fit those of the points if the sensors are moved so, and if so many
-/// seconds are added to its stamps. None if they explain little, or not the same all the time, as drift does.
+/// Fits one rotation and translation of the sensors in the tracking frame, and one delay of the trajectory,
+/// to the difference between input and result: with them the motions of the input fit those of the points;
+/// the delay is added to its stamps. None if they explain little, or are not constant in time, as with drift.
 pub(crate) fn of_input(trajectory: &DenseTrajectory, gaps: &[[f64; 2]]) -> Option<Mounting> {
     let is_free = |s: &f64| !gaps.iter().any(|g| *s < g[1] + 0.5 && s + STRETCH > g[0] - 0.5);
     let moments: Vec<f64> = moments(trajectory).into_iter().filter(is_free).collect();
@@ -160,7 +161,7 @@ fn fit_input(trajectory: &DenseTrajectory, moments: &[f64]) -> Option<Fit> {
         let turn = quaternion_from_angle_axis(&three(v, 3));
         let moved = Rigid3::from_parts(three(v, 0).into(), turn);
         let residual = |(s, seen): (&f64, &Rigid3)| {
-            // Added to the stamps: what the input has at s − delay belongs to s.
+            // Added to the stamps: the pose of the input at s − delay belongs to s.
             let input = motion(|s| trajectory.joined_pose(s - v[6]), *s);
             let difference = seen.inverse() * moved * input * moved.inverse();
             let (t, r) = (difference.translation.vector, angle_axis_from_quaternion(&difference.rotation));
@@ -172,8 +173,8 @@ fn fit_input(trajectory: &DenseTrajectory, moments: &[f64]) -> Option<Fit> {
     fit(residuals, &[0, 0, 0, 1, 1, 1], &[1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 2e-3], &prior)
 }
 
-/// How the IMU sits against the tracking frame that the points have determined, and its delay: turn and delay by the gyroscope,
-/// shift by the accelerometer.
+/// Mounting of the IMU relative to the tracking frame that the points have determined, and its delay:
+/// rotation and delay from the gyroscope, translation from the accelerometer.
 pub(crate) fn of_imu(trajectory: &DenseTrajectory, sensors: &MotionSensors, start: Time) -> Option<Mounting> {
     let track = sensors.gyroscope_track(start, &Vector3::zeros())?;
     let moments = moments(trajectory);
@@ -206,7 +207,8 @@ pub(crate) fn of_imu(trajectory: &DenseTrajectory, sensors: &MotionSensors, star
     Some(Mounting::new("IMU", value, deviation, [PRIOR[0], PRIOR[1], PRIOR[2]]))
 }
 
-/// Lever arm, bias and gravity: the change of velocity over a stretch by the accelerometer against that of the place where it is.
+/// Lever arm, bias and gravity: compares the change of velocity over an interval from the accelerometer with
+/// that of its position.
 fn by_accelerometer(
     trajectory: &DenseTrajectory,
     sensors: &MotionSensors,
@@ -215,11 +217,11 @@ fn by_accelerometer(
     delay: f64,
 ) -> Option<Fit> {
     struct Stretch {
-        /// Change of velocity: measured by the accelerometer less that of the tracking frame, world axes.
+        /// Change of velocity: measured by the accelerometer minus that of the tracking frame, world axes.
         change: Vector3,
-        /// Takes a lever arm to its change of velocity.
+        /// Maps a lever arm to its change of velocity.
         lever: na::Matrix3<f64>,
-        /// Takes a bias to its change of velocity.
+        /// Maps a bias to its change of velocity.
         bias: na::Matrix3<f64>,
         seconds: f64,
     }

@@ -1,11 +1,11 @@
-//! The input trajectory as odometry: how much its motion from knot to knot may be wrong.
+//! Uses the input trajectory as odometry, with the noise of its motion from knot to knot.
 
 use portolan_geometry::Rigid3;
 
 use super::motion_term::MotionTerm;
 use super::{DenseTrajectory, Knots};
 
-/// Fraction of the motions that may be jumps; they do not tell how wrong the others are.
+/// Fraction of the motions that may be jumps; they are left out of the estimate of the noise.
 const JUMPS: f64 = 0.02;
 
 /// Standard deviations of the error of the input's motion, per square root of a second.
@@ -43,8 +43,8 @@ pub(crate) fn motion_terms(
         .collect()
 }
 
-/// The noise that explains how far the current trajectory has departed from the motion of the input, within
-/// bounds: an input that was already good is trusted more, one that was not is trusted less.
+/// The noise that explains the deviation of the current trajectory from the motion of the input, within
+/// bounds: an accurate input gets more weight, an inaccurate one less.
 pub(crate) fn noise_found(trajectory: &DenseTrajectory, knots: &Knots) -> OdometryNoise {
     let unit = OdometryNoise { translation: 1.0, rotation: 1.0 };
     let terms = odometry_terms(trajectory, knots, unit);

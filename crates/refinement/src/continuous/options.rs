@@ -1,38 +1,40 @@
-//! How to refine.
+//! Options of continuous-time refinement.
 
 use portolan_geometry::{Rigid3, Vector3, rotation_between};
 
 use super::{DenseTrajectory, OdometryNoise, OtherSensorsFound};
 use crate::{MotionSensors, RefineError};
 
-/// How to refine. The defaults are meant for every recording; nothing needs to be tuned.
+/// Options of continuous-time refinement. The defaults are meant for every recording; nothing needs to be
+/// tuned.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct ContinuousOptions {
     /// Length of the windows within which the input shows a wall as one sheet, seconds. Longer for slow
-    /// scanners, shorter for an input that is wrong from one second to the next.
+    /// scanners, shorter for an input with errors from one second to the next.
     pub window: f64,
-    /// Seconds between knots at the end. Shorter follows faster errors, if there are points enough.
+    /// Final spacing of the knots, seconds. A shorter one follows faster errors, if there are enough points.
     pub knot_spacing: f64,
-    /// Farthest that surfaces may lie apart at the start because of drift, metres.
+    /// Largest initial distance of surfaces because of drift, metres.
     pub reach: f64,
-    /// How wrong the motion of the input may be at the start; afterwards it is found out.
+    /// Noise of the motion of the input at the start; later it is estimated.
     pub odometry: OdometryNoise,
-    /// At most so many rounds of fine stages.
+    /// Maximum number of rounds of fine stages.
     pub max_rounds: usize,
-    /// Whether places and clocks of all lidars but the first are solved for.
+    /// Whether extrinsics and clocks of all lidars but the first are solved for.
     pub calibrate_lidars: bool,
-    /// Where the result lies.
+    /// The gauge of the result.
     pub gauge: Gauge,
 }
 
-/// Where the result lies as a whole, which points cannot tell.
+/// The gauge: pose of the whole result, which points do not determine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Gauge {
     /// The first pose is that of the input.
     #[default]
     FirstPose,
-    /// Place and heading of the first pose are those of the input, and z points up by the accelerometer.
+    /// Position and heading of the first pose are those of the input, and z points up according to the
+    /// accelerometer.
     Gravity,
     /// In the frame of the fixes: z up, the first fix at the origin.
     Fixes,
@@ -40,7 +42,7 @@ pub enum Gauge {
 
 impl Gauge {
     /// # Errors
-    /// Fails if the sensors do not give it.
+    /// Fails if the sensors do not determine it.
     pub(crate) fn check(self, sensors: &MotionSensors) -> Result<(), RefineError> {
         let missing = match self {
             Self::Gravity if sensors.imu().is_empty() => "z can only point up if there is an IMU",
@@ -50,8 +52,8 @@ impl Gauge {
         Err(RefineError::Option(missing.to_owned()))
     }
 
-    /// Moves the whole trajectory to where it belongs. It begins at the first pose of the input; before it was moved
-    /// there by `anchor`, gravity and fixes were found.
+    /// Moves the whole trajectory according to the gauge. It begins at the first pose of the input; gravity
+    /// and fixes were estimated before it was moved there by `anchor`.
     pub(crate) fn settle(
         self,
         trajectory: &mut DenseTrajectory,
@@ -87,16 +89,17 @@ impl Default for ContinuousOptions {
     }
 }
 
-/// Shorter windows and spacings of knots, seconds, say nothing that sweeps of a tenth of a second know, and make more unknowns than
-/// memory holds.
+/// Shortest window, seconds. Shorter windows and spacings of knots resolve nothing in sweeps of a tenth of a
+/// second, and cause more unknowns than fit into memory.
 const SHORTEST_WINDOW: f64 = 0.01;
+/// Shortest spacing of knots, seconds.
 const SHORTEST_SPACING: f64 = 0.001;
-/// Metres or radians: nothing is known better.
+/// Lower bound of lengths and angles, metres or radians: no measurement is more accurate.
 const LEAST: f64 = 1e-9;
 
 impl ContinuousOptions {
     /// # Errors
-    /// Fails for values that make no sense.
+    /// Fails for invalid values.
     pub(crate) fn check(&self) -> Result<(), RefineError> {
         let within = |name: &str, value: f64, least: f64| {
             if (least..=1e6).contains(&value) {

@@ -1,5 +1,5 @@
-//! Terms of gyroscope, accelerometer, wheels and fixes. How exact each of them is, is found from how it departs from the
-//! current trajectory, so that no data sheet is needed and a bad sensor does no harm.
+//! Terms of gyroscope, accelerometer, wheels and fixes. The accuracy of each is estimated from its deviations
+//! from the current trajectory, so that no data sheet is needed and an inaccurate sensor does no harm.
 
 use nalgebra::{Matrix6, Vector6};
 use portolan_geometry::{
@@ -13,23 +13,26 @@ use super::unary_term::UnaryTerm;
 use super::{DenseTrajectory, Knots};
 use crate::motion_sensors::{MotionSensors, PoseTrack};
 
-/// Noise is looked at over this, seconds: shorter, that of the trajectory itself would count.
+/// Interval over which noise is measured, seconds: over shorter ones the noise of the trajectory itself would
+/// dominate.
 const NOISE_SECONDS: f64 = 1.0;
-/// Specific force is averaged over this, seconds: steps even out.
+/// Interval over which specific force is averaged, seconds: the effects of steps cancel.
 const GRAVITY_SECONDS: f64 = 2.0;
-/// Least standard deviations believed: gyroscope (rad/√s), wheels (m/√s, rad/√s), mean specific force (m/s²), fix (m).
+/// Lower bounds of the estimated standard deviations: gyroscope (rad/√s), wheels (m/√s, rad/√s), mean
+/// specific force (m/s²), fix (m).
 const LEAST: [f64; 5] = [2e-4, 2e-3, 5e-4, 0.02, 0.01];
 /// Standard deviation of the bias of an accelerometer, m/s².
 const ACCELEROMETER_BIAS: f64 = 0.2;
-/// Most corrections of the bias of a gyroscope, and what may be left, rad/s.
+/// Maximum number of corrections of the bias of a gyroscope.
 const BIAS_STEPS: usize = 8;
+/// Residual bias below which the corrections end, rad/s.
 const BIAS_REST: f64 = 1e-6;
-/// Residuals beyond this many standard deviations lose weight (Cauchy).
+/// Number of standard deviations above which residuals lose weight (Cauchy).
 const ROBUST: f64 = 2.0;
-/// Fewer fixes do not lay a trajectory anywhere.
+/// Minimum number of fixes for aligning a trajectory.
 const LEAST_FIXES: usize = 10;
 
-/// What was found about the other sensors.
+/// Estimates of the other sensors' parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct OtherSensorsFound {
     /// Bias of the gyroscope, rad/s.
@@ -38,7 +41,7 @@ pub struct OtherSensorsFound {
     pub gyroscope_noise: Option<[f64; 3]>,
     /// Bias of the accelerometer, m/s².
     pub accelerometer_bias: Option<[f64; 3]>,
-    /// Specific force at rest in the world of the trajectory, m/s²: up.
+    /// Specific force at rest in the world of the trajectory, m/s²: it points up.
     pub gravity_in_world: Option<[f64; 3]>,
     /// Standard deviation of the mean specific force of two seconds, m/s².
     pub gravity_noise: Option<f64>,
@@ -64,8 +67,8 @@ impl<'a> OtherSensors<'a> {
         Self { sensors, start, wheels, found: OtherSensorsFound::default(), world_from_fixed: None }
     }
 
-    /// Terms of the motion between knots, and of single moments. Biases, noise and frames are found with the current
-    /// trajectory first.
+    /// Terms of the motion between knots, and of single times. Biases, noise and frames are estimated with
+    /// the current trajectory first.
     pub fn terms(
         &mut self,
         trajectory: &DenseTrajectory,
@@ -88,9 +91,9 @@ impl<'a> OtherSensors<'a> {
         track_terms(&track, trajectory, knots, &deviations)
     }
 
-    /// The bias of the gyroscope, and its orientations without it. What a bias turns beyond the trajectory in a second is
-    /// turned by that second's own motion, so that the first guess is off by as many percent; it is corrected until nothing is
-    /// left.
+    /// The bias of the gyroscope, and its orientations without it. The rotation that a bias adds in a second
+    /// is rotated by the motion of that second, so that the first estimate is wrong by the corresponding
+    /// fraction. It is corrected until the residual bias vanishes.
     fn gyroscope(&self, trajectory: &DenseTrajectory) -> Option<(Vector3, PoseTrack)> {
         let mut bias = Vector3::zeros();
         let mut track = self.sensors.gyroscope_track(self.start, &bias)?;
@@ -113,7 +116,7 @@ impl<'a> OtherSensors<'a> {
         track_terms(track, trajectory, knots, &deviations)
     }
 
-    /// Mean specific force over two seconds, turned into the world, is gravity and the mean acceleration.
+    /// Mean specific force over two seconds, rotated into the world, is gravity plus the mean acceleration.
     fn gravity_terms(&mut self, trajectory: &DenseTrajectory, knots: &Knots) -> Vec<UnaryTerm> {
         let means = self.specific_forces(trajectory);
         let Some((gravity, bias)) = gravity_and_bias(&means) else { return Vec::new() };
@@ -183,20 +186,21 @@ impl<'a> OtherSensors<'a> {
         let squares = fixes.iter().map(|f| residual(f).norm_squared() / 3.0).collect();
         let deviation = trimmed_mean(squares).sqrt().max(LEAST[4]);
         self.found.fix_noise = Some(deviation);
-        // Fixes of neighbouring seconds are wrong in the same way: together they count as one in ten seconds.
+        // Errors of fixes in neighbouring seconds are correlated: together they count as one fix in ten
+        // seconds.
         let rate = fixes.len() as f64 / (fixes.last().map_or(1.0, |l| l.0 - fixes[0].0)).max(1.0);
         let deviation = deviation * (10.0 * rate).max(1.0).sqrt();
         fixes.iter().map(|f| UnaryTerm::place(knots, f.0, &residual(f), deviation, ROBUST)).collect()
     }
 }
 
-/// Mean specific force of a stretch of time.
+/// Mean specific force over an interval.
 struct SpecificForce {
     seconds: f64,
     in_world: Vector3,
-    /// Mean of world from tracking.
+    /// Mean of the rotations from tracking frame to world.
     turn: na::Matrix3<f64>,
-    /// Mean acceleration by the trajectory.
+    /// Mean acceleration from the trajectory.
     acceleration: Vector3,
 }
 
@@ -221,7 +225,8 @@ fn gravity_and_bias(means: &[SpecificForce]) -> Option<(Vector3, Vector3)> {
     Some((solution.fixed_rows::<3>(0).into_owned(), solution.fixed_rows::<3>(3).into_owned()))
 }
 
-/// The rate that the gyroscope reads too much, from what it has turned beyond the trajectory in all.
+/// The bias of the gyroscope, from its rotation in excess of that of the trajectory, averaged over all
+/// seconds.
 fn gyroscope_bias(track: &PoseTrack, trajectory: &DenseTrajectory) -> Option<Vector3> {
     let (mut sum, mut count) = (Vector3::zeros(), 0.0);
     for_each_second(trajectory, |from, to| {
@@ -233,7 +238,8 @@ fn gyroscope_bias(track: &PoseTrack, trajectory: &DenseTrajectory) -> Option<Vec
     (count > 0.0).then(|| sum / count)
 }
 
-/// How a track departs from the trajectory, along the axes of the tracking frame, per root of a second.
+/// Standard deviation of a track from the trajectory, along the axes of the tracking frame, per root of a
+/// second.
 fn track_noise(track: &PoseTrack, trajectory: &DenseTrajectory) -> [f64; 6] {
     let mut squares: [Vec<f64>; 6] = Default::default();
     let knots = Knots::new(trajectory.duration(), NOISE_SECONDS);
@@ -266,7 +272,7 @@ fn for_each_second(trajectory: &DenseTrajectory, mut visit: impl FnMut(f64, f64)
     (0..knots.count() - 1).for_each(|i| visit(knots.seconds(i), knots.seconds(i + 1)));
 }
 
-/// Lays fixes onto a trajectory: heading and place by least squares, weighted down where they are off, up to where up is.
+/// Aligns fixes with a trajectory: heading and position by robust least squares, with the given up direction.
 fn lay(fixes: &[(f64, Vector3)], trajectory: &DenseTrajectory, up: &Vector3) -> Option<Rigid3> {
     if fixes.len() < LEAST_FIXES {
         return None;

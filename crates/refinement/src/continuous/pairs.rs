@@ -1,4 +1,4 @@
-//! Pairs of surfels of different windows that are probably the same surface.
+//! Pairs surfels of different windows that are probably the same surface.
 
 use portolan_geometry::{Vector3, nalgebra as na};
 use rayon::prelude::*;
@@ -8,29 +8,29 @@ use super::dense_trajectory::DenseTrajectory;
 use super::surfels::SurfelMap;
 use portolan_spatial::KdTree;
 
-/// Windows that each window is compared with at most, besides its neighbours in time.
+/// Maximum number of windows that each window is compared with, besides its neighbours in time.
 const MAX_PARTNERS: usize = 20;
-/// How many windows before and after count as neighbours in time.
+/// Number of windows before and after that count as neighbours in time.
 const NEIGHBOURS: usize = 2;
-/// Surfels of a window that look for a partner in each other window.
+/// Maximum number of surfels of a window for which a partner in each other window is searched.
 const MAX_QUERIES: usize = 500;
-/// Farther along the surface a partner is not looked for (unless drift may be larger), metres.
+/// Maximum distance of a partner along the surface, metres (more if drift may be larger).
 const REACH: f32 = 1.0;
-/// Least cosine between the normals of a pair.
+/// Minimum cosine between the normals of a pair.
 const LEAST_COSINE: f64 = 0.94;
 
 /// A surfel in the world.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PlacedSurfel {
-    /// When it was seen.
+    /// Time at which it was measured.
     pub seconds: f64,
     pub mean: Vector3,
     pub normal: Vector3,
-    /// Position of the tracking frame when it was seen.
+    /// Position of the tracking frame at that time.
     pub seen_from: Vector3,
 }
 
-/// Two surfels that should lie in one plane.
+/// Two surfels that should be in one plane.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pair {
     pub a: u32,
@@ -39,11 +39,11 @@ pub(crate) struct Pair {
     pub normal: Vector3,
     /// `normal · (a − b)`, metres.
     pub distance: f64,
-    /// How far apart both are along the surface, metres.
+    /// Distance of both along the surface, metres.
     pub aside: f64,
 }
 
-/// All surfels with the current trajectory.
+/// Places all surfels with the current trajectory.
 pub(crate) fn place(
     map: &SurfelMap,
     corrections: &Corrections,
@@ -67,9 +67,9 @@ pub(crate) fn place(
         .collect()
 }
 
-/// For each surfel (of a spread choice) its nearest partner in each of the windows that may have seen the same
-/// surfaces (those at most `horizon` numbers away, if that is given): of like normal, and at most `gate` metres away across
-/// the surface.
+/// For each surfel (of a spread selection) the nearest partner in each of the windows that may contain the
+/// same surfaces (those at most `horizon` numbers away, if given): with a similar normal, and at most `gate`
+/// metres away across the surface.
 pub(crate) fn find_pairs(
     map: &SurfelMap,
     placed: &[PlacedSurfel],
@@ -119,7 +119,7 @@ pub(crate) fn find_pairs(
     found.concat()
 }
 
-/// What a window saw lies within a sphere.
+/// Sphere around the surfaces of a window.
 #[derive(Clone, Copy, Debug)]
 struct Sphere {
     centre: Vector3,
@@ -133,13 +133,13 @@ impl Sphere {
         let place = surfels.get(surfels.len() / 2)?.seen_from;
         let centre = surfels.iter().map(|s| s.mean).sum::<Vector3>() / count;
         let mut distances: Vec<f64> = surfels.iter().map(|s| (s.mean - centre).norm()).collect();
-        // Most of it: single far patches shall not make everything a partner of everything.
+        // Contains most of them: single far patches must not make all windows partners.
         distances.sort_by(f64::total_cmp);
         Some(Self { centre, radius: distances[distances.len() * 4 / 5], place })
     }
 }
 
-/// Windows to compare with: the neighbours in time, and those seen from near places, spread over time.
+/// Windows to compare with: the neighbours in time, and those seen from nearby positions, spread over time.
 fn partners(
     map: &SurfelMap,
     spheres: &[Option<Sphere>],

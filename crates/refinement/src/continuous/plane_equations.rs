@@ -1,12 +1,12 @@
-//! The equations of a fine stage: clusters lie in planes whose offset and tilt are free.
+//! The equations of a fine stage: clusters are on planes whose offset and tilt are free.
 //!
 //! For a cluster j of plane p at time t: `e + n·τ(t) + ((x−c)×n)·φ(t) − (1, a, b)·π = 0`, with e its distance
-//! from the plane, c the position of the tracking frame, a and b its place along the plane, and π the
-//! change of the plane's offset and two tilts. The planes are eliminated: what is left is
-//! `S = Σ w JJᵀ − Σ_p (Σ w J q ᵀ)(Σ w q qᵀ)⁻¹(Σ w q Jᵀ)`, q = (1, a, b), whose products with vectors cost one pass
-//! over the clusters and which is never formed. Where sensors are calibrated, J has seven more columns for each:
-//! `n·R ρ + ((x−o)×n)·R θ + n·(v + ω×(x−c)) δ` for a shift ρ and a turn θ of the sensor about its place o, and a
-//! delay δ of its clock.
+//! from the plane, c the position of the tracking frame, a and b its coordinates along the plane, and π the
+//! change of the plane's offset and two tilts. The planes are eliminated. What remains is
+//! `S = Σ w JJᵀ − Σ_p (Σ w J q ᵀ)(Σ w q qᵀ)⁻¹(Σ w q Jᵀ)`, q = (1, a, b), whose products with vectors cost one
+//! pass over the clusters and which is never formed. Where sensors are calibrated, J has seven more columns
+//! for each: `n·R ρ + ((x−o)×n)·R θ + n·(v + ω×(x−c)) δ` for a translation ρ and a rotation θ of the sensor
+//! about its position o, and a delay δ of its clock.
 
 use nalgebra::{Matrix3, Matrix6, Vector6};
 use portolan_geometry::Vector3;
@@ -20,13 +20,14 @@ use super::unknowns::{PER_SENSOR, SensorUnknowns};
 use super::{DenseTrajectory, Knots};
 use crate::MAX_SENSORS;
 
-/// Residuals beyond this many standard deviations lose weight (Cauchy).
+/// Number of standard deviations above which residuals lose weight (Cauchy).
 const ROBUST: f64 = 2.0;
-/// Least standard deviation of a point across its surface, metres.
+/// Minimum standard deviation of a point across its surface, metres.
 const LEAST_DEVIATION: f64 = 0.005;
-/// Standard deviation of a cluster that more points do not make smaller, metres: surfaces are not planes.
+/// Standard deviation of a cluster that does not decrease with more points, metres: surfaces are not exact
+/// planes.
 const UNEVENNESS: f64 = 0.003;
-/// Clusters are worked on in so many parts, whatever the number of threads.
+/// Number of parts in which clusters are processed, independent of the number of threads.
 const PARTS: usize = 16;
 
 #[derive(Clone, Copy, Debug)]
@@ -40,11 +41,11 @@ struct Row {
     knot: u32,
 }
 
-/// How the residual of a row changes with the sensor that saw it.
+/// Derivative of the residual of a row with respect to the sensor that measured it.
 #[derive(Clone, Copy, Debug)]
 struct SensorRow {
     jacobian: [f32; PER_SENSOR],
-    /// Which of the sensors that are calibrated; none for the others.
+    /// Index among the calibrated sensors; none for the others.
     column: Option<u8>,
 }
 
@@ -59,20 +60,20 @@ struct Plane {
 /// The linearised plane terms at the current trajectory.
 pub(crate) struct PlaneEquations {
     rows: Vec<Row>,
-    /// As many as rows, or none if no sensor is calibrated.
+    /// One for each row, or none if no sensor is calibrated.
     sensor_rows: Vec<SensorRow>,
     planes: Vec<Plane>,
     parts: Vec<std::ops::Range<usize>>,
-    /// Those of the knots, before those of the sensors.
+    /// Number of unknowns of the knots, which come before those of the sensors.
     knot_unknowns: usize,
     unknowns: usize,
     /// Root of the weighted mean square distance of points from their planes, metres.
     pub rms: f64,
-    /// What variances that follow from the weights have to be multiplied with: the clusters of one patch share its errors.
+    /// Factor for variances that follow from the weights: the clusters of one patch share its errors.
     pub variance_factor: f64,
 }
 
-/// Everything at which the equations are linearised.
+/// The state at which the equations are linearised.
 pub(crate) struct State<'a> {
     pub map: &'a SurfelMap,
     pub placed: &'a [PlacedSurfel],
@@ -119,7 +120,7 @@ impl PlaneEquations {
         equations
     }
 
-    /// Parts of about equally many rows.
+    /// Splits the planes into parts with about equally many rows.
     fn split(&mut self) {
         let wanted = self.rows.len().div_ceil(PARTS).max(1);
         let mut start = 0;
@@ -191,7 +192,7 @@ impl PlaneEquations {
         }
     }
 
-    /// Where the unknowns of a row's sensor begin, and the Jacobian with respect to them.
+    /// Index of the first unknown of a row's sensor, and the Jacobian with respect to these unknowns.
     #[inline]
     fn sensor_part(&self, row: usize) -> Option<(usize, &[f32; PER_SENSOR])> {
         let sensor = self.sensor_rows.get(row)?;
@@ -199,7 +200,7 @@ impl PlaneEquations {
         Some((self.knot_unknowns + PER_SENSOR * column, &sensor.jacobian))
     }
 
-    /// How the residual of a row changes along x.
+    /// Change of the residual of a row along x.
     #[inline]
     fn along(&self, plane: &Plane, index: usize, x: &[f64]) -> f64 {
         let row = &self.rows[index];
@@ -214,7 +215,8 @@ impl PlaneEquations {
         moved + calibrated
     }
 
-    /// Σ w JJᵀ of the rows within each stretch of `seconds` seconds: what the surfaces seen then determine.
+    /// Σ w JJᵀ of the rows within each interval of `seconds` seconds: the information of the surfaces
+    /// measured then.
     pub fn information(&self, knots: &Knots, seconds: f64) -> Vec<Matrix6<f64>> {
         let last = knots.seconds(knots.count() - 1);
         let mut sums = vec![Matrix6::zeros(); (last / seconds).ceil().max(1.0) as usize];
@@ -268,13 +270,13 @@ struct PlaneRows {
     weights: f64,
 }
 
-/// Where a plane lies to begin with: the mean of its surfels, weighted by their points.
+/// Initial plane: the mean of its surfels, weighted by their points.
 struct MeanPlane {
     normal: Vector3,
     /// Two directions in the plane.
     along: [Vector3; 2],
     centre: Vector3,
-    /// Of points across their surfels.
+    /// Variance of points across their surfels.
     variance: f64,
 }
 
@@ -329,7 +331,7 @@ fn plane_rows(state: &State, surfels: &[u32], columns: &[Option<usize>; MAX_SENS
     PlaneRows { rows, sensor_rows, normal, inverse, squares, weights }
 }
 
-/// The row of a cluster against the mean plane. Its variance stands where its weight will be.
+/// The row of a cluster relative to the mean plane. Its weight field holds the variance at first.
 fn cluster_row(state: &State, plane: &MeanPlane, seconds: f64, in_tracking: [f32; 3], variance: f64) -> Row {
     let pose = state.trajectory.pose(seconds);
     let from_sensor = pose.rotation * Vector3::from(in_tracking.map(f64::from));
@@ -347,8 +349,8 @@ fn cluster_row(state: &State, plane: &MeanPlane, seconds: f64, in_tracking: [f32
     }
 }
 
-/// Fits offset and tilts of a plane by iteratively reweighted least squares, which turns the variances of the rows to
-/// weights. Gives them and the inverse of their normal matrix.
+/// Fits offset and tilts of a plane by iteratively reweighted least squares, which turns the variances of the
+/// rows into weights. Returns them and the inverse of their normal matrix.
 fn fit(rows: &mut [Row]) -> (Vector3, Matrix3<f64>) {
     let variances: Vec<f64> = rows.iter().map(|r| f64::from(r.weight)).collect();
     let mut plane = Vector3::zeros();
@@ -362,7 +364,7 @@ fn fit(rows: &mut [Row]) -> (Vector3, Matrix3<f64>) {
             matrix += q(row) * q(row).transpose() * weight;
             vector += q(row) * (weight * f64::from(row.residual));
         }
-        // Tilts of planes seen only along a line stay as they are.
+        // Tilts of planes measured only along a line do not change.
         let slack = matrix.m11 * 1e-4;
         matrix.m22 += slack;
         matrix.m33 += slack;
@@ -372,7 +374,7 @@ fn fit(rows: &mut [Row]) -> (Vector3, Matrix3<f64>) {
     (plane, inverse)
 }
 
-/// The part of a row that belongs to its sensor.
+/// The part of a row with respect to its sensor.
 fn sensor_row(
     state: &State,
     column: Option<usize>,

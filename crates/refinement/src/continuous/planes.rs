@@ -1,4 +1,4 @@
-//! Planes: surfels of all windows that lie in one piece of surface, grouped.
+//! Groups surfels of all windows that are in one piece of surface into planes.
 
 use portolan_geometry::Vector3;
 
@@ -7,7 +7,7 @@ use super::surfels::SurfelMap;
 
 /// Edge of the squares along a surface within which surfels belong to one plane, metres.
 const SQUARE: f64 = 1.0;
-/// Least cosine between the normal of a surfel and that of its plane.
+/// Minimum cosine between the normal of a surfel and that of its plane.
 const LEAST_COSINE: f64 = 0.94;
 
 /// Surfels of one piece of surface.
@@ -19,8 +19,8 @@ pub(crate) struct PlaneGroups {
     pub planes: Vec<std::ops::Range<usize>>,
 }
 
-/// Groups surfels by the direction they face, the square along the surface they lie in, and where along the
-/// normal they are: a gap of `gap` metres separates planes.
+/// Groups surfels by the direction of their normal, their square along the surface, and their position along
+/// the normal: a distance of `gap` metres separates planes.
 pub(crate) fn group(map: &SurfelMap, placed: &[PlacedSurfel], gap: f64) -> PlaneGroups {
     #[derive(Clone, Copy)]
     struct Member {
@@ -36,7 +36,7 @@ pub(crate) fn group(map: &SurfelMap, placed: &[PlacedSurfel], gap: f64) -> Plane
             let axis = surfel.normal.iamax();
             let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
             let square = [u, v].map(|k| (surfel.mean[k] / SQUARE).floor());
-            // Where the plane crosses the line through the middle of the square.
+            // Height at which the plane crosses the line through the middle of the square.
             let centre = square.map(|s| (s + 0.5) * SQUARE);
             let n = &surfel.normal;
             let height = surfel.mean[axis]

@@ -1,11 +1,12 @@
-//! A few unknowns fitted to many residuals, robustly, with their covariance.
+//! Fits a few unknowns to many residuals, robustly, with their covariance.
 
 use nalgebra::{DMatrix, DVector};
 
-/// Residuals beyond this many standard deviations lose weight (Cauchy).
+/// Number of standard deviations above which residuals lose weight (Cauchy).
 const ROBUST: f64 = 2.0;
+/// Number of Gauss–Newton steps.
 const STEPS: usize = 6;
-/// Residuals of neighbouring moments are wrong in the same way: so many count as one.
+/// Number of residuals of neighbouring times that count as one, as their errors are correlated.
 const CORRELATED: f64 = 3.0;
 
 /// A fit.
@@ -23,9 +24,10 @@ impl Fit {
     }
 }
 
-/// Fits by Gauss and Newton with Jacobians by differences. `residuals` gives for each moment a vector of `kinds.len()`
-/// numbers, which are distinguished by kind: each kind has a standard deviation of its own, which is found. `steps` are
-/// those of the differences, `prior` inverse variances about zero. None with fewer than four times as many residuals as unknowns.
+/// Fits by Gauss–Newton with Jacobians by differences. `residuals` gives for each time a vector of
+/// `kinds.len()` numbers, which are distinguished by kind: the standard deviation of each kind is estimated.
+/// `steps` are those of the differences, `prior` inverse variances about zero. None with fewer than four
+/// times as many residuals as unknowns.
 pub(crate) fn fit(
     residuals: impl Fn(&DVector<f64>) -> Vec<Vec<f64>>,
     kinds: &[usize],
@@ -73,7 +75,7 @@ pub(crate) fn fit(
     result.filter(|fit| fit.value.iter().chain(fit.covariance.iter()).all(|v| v.is_finite()))
 }
 
-/// Inverse variances, by kind, and less for what is far off.
+/// Inverse variances, by kind, and reduced for outliers.
 fn weights(residuals: &[Vec<f64>], kinds: &[usize]) -> Vec<Vec<f64>> {
     let count = kinds.iter().max().map_or(0, |k| k + 1);
     let variances: Vec<f64> = (0..count)
@@ -83,7 +85,7 @@ fn weights(residuals: &[Vec<f64>], kinds: &[usize]) -> Vec<Vec<f64>> {
                 .flat_map(|r| r.iter().zip(kinds).filter(|(_, k)| **k == kind).map(|(r, _)| r.abs()));
             let mut own: Vec<f64> = own.collect();
             own.sort_by(f64::total_cmp);
-            // The median of the size of a normal variable is 0.6745 standard deviations.
+            // The median of the absolute value of a normal variable is 0.6745 standard deviations.
             let median = own.get(own.len() / 2).copied().unwrap_or(1.0);
             (median / 0.6745).powi(2).max(1e-16)
         })

@@ -1,4 +1,4 @@
-//! What a refinement did, and what it could not know.
+//! The report of a refinement: results, and what could not be determined.
 
 use serde::Serialize;
 
@@ -11,26 +11,27 @@ use crate::semi_rigid::SemiRigidOptions;
 use crate::{LeftOutPoints, PointStore, StoredPoint, StoredSensor};
 use portolan_spatial::Sharpness;
 
-/// How far a refinement is.
+/// Progress of a refinement.
 #[derive(Clone, Debug)]
 pub struct RefineProgress {
-    /// What was just done, or is begun, for people.
+    /// The work that was just done or begins, for users.
     pub stage: String,
-    /// Share that is done, 0 to 1; an estimate, because stages end when nothing moves any more.
+    /// Fraction that is done, 0 to 1; an estimate, because stages end at convergence.
     pub share: f64,
-    /// Root mean square distance of points (or of paired patches) across their surfaces after the last step, metres; none before.
+    /// Root mean square distance of points (or of paired patches) across their surfaces after the last step,
+    /// metres; none before the first one.
     pub rms: Option<f64>,
-    /// Largest shift of the last step, metres.
+    /// Largest translation of the last step, metres.
     pub shift: Option<f64>,
     /// Mean map entropy after the last round ([`RefineReport::sharpness_by_round`]); lower is sharper.
     pub entropy: Option<f64>,
 }
 
-/// How sharp the cloud was after a round. Measured with fewer points than before and after the whole: values can only be
-/// compared with each other.
+/// Sharpness of the cloud after a round. It is measured with fewer points than before and after the whole
+/// refinement, so the values can only be compared with each other.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RoundSharpness {
-    /// How many steps had been made; 0 for the input.
+    /// Number of steps made before; 0 for the input.
     pub steps: usize,
     /// Mean of `½ ln det(2πe Σ)` over the neighbourhoods.
     pub mean_map_entropy: f64,
@@ -51,7 +52,7 @@ pub struct RefineStep {
     pub terms: usize,
     /// Root of the weighted mean square distance before the step, metres.
     pub rms: f64,
-    /// Largest shift of a knot, metres.
+    /// Largest translation of a knot, metres.
     pub shift: f64,
 }
 
@@ -78,14 +79,14 @@ pub enum Method {
     SemiRigid(SemiRigidOptions),
 }
 
-/// What a refinement did.
+/// Report of a refinement.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RefineReport {
-    /// How, and with which options.
+    /// Method and options.
     pub method: Method,
     /// All steps in order.
     pub steps: Vec<RefineStep>,
-    /// Points that were looked at in each round.
+    /// Points that were used in each round.
     pub points: usize,
     /// Points before the first pose, after the last, or in gaps of the trajectory; they are not used.
     pub points_outside_trajectory: usize,
@@ -93,50 +94,52 @@ pub struct RefineReport {
     pub left_out: LeftOutPoints,
     /// Gaps of the trajectory (from, to; seconds since its start) that are too long to interpolate.
     pub gaps: Vec<[f64; 2]>,
-    /// Jumps of the trajectory that were taken out before it was refined.
+    /// Jumps of the trajectory that were removed before it was refined.
     pub jumps: Vec<Jump>,
-    /// Fraction of the points that lie on planar patches at the end, 0 to 1, if the method looks for patches.
+    /// Fraction of the points on planar patches at the end, 0 to 1, if the method extracts patches.
     pub planar_fraction: Option<f64>,
     /// Sharpness with the input; none if there are too few points.
     pub sharpness_before: Option<Sharpness>,
     /// Sharpness with the result.
     pub sharpness_after: Option<Sharpness>,
-    /// How sharp the cloud was on the way.
+    /// Sharpness of the cloud after each round.
     pub sharpness_by_round: Vec<RoundSharpness>,
     /// The lidars.
     pub sensors: Vec<StoredSensor>,
-    /// How the lidars sit against the first one: what calibration found, or, without calibration, what it would find.
+    /// Mountings of the lidars relative to the first one: the result of the calibration, or, without
+    /// calibration, what it would be.
     pub mountings: Vec<Mounting>,
-    /// Whether that was applied.
+    /// Whether they were applied.
     pub calibrated: bool,
-    /// How the IMU sits against the tracking frame; not applied.
+    /// Mounting of the IMU relative to the tracking frame; not applied.
     pub imu: Option<Mounting>,
-    /// What was found about the other sensors.
+    /// Estimates of the other sensors' parameters.
     pub other_sensors: OtherSensorsFound,
-    /// How wrong the motion of the input was found to be.
+    /// Estimated noise of the motion of the input.
     pub odometry_found: OdometryNoise,
     /// Largest translation of the result against the input, metres.
     pub largest_translation: f64,
     /// Largest rotation of the result against the input, radians.
     pub largest_rotation: f64,
-    /// What is not determined and was left as the input has it.
+    /// Undetermined directions, in which the input was kept.
     pub undetermined: Vec<Undetermined>,
-    /// For so many seconds no pass came back: there the input's motion over more than two seconds was kept, since
-    /// nothing says how it would have to be changed.
+    /// Seconds without a returning pass: there the motion of the input over more than two seconds was kept,
+    /// since nothing determines a correction of it.
     pub long_shape_held_seconds: f64,
-    /// How well surfaces agree that were kept out of the fit; none if there are too few, or with another method.
+    /// Agreement of surfaces that were held out of the fit; none if there are too few, or with another
+    /// method.
     pub cross_validation: Option<CrossValidation>,
-    /// The result was less sharp than the input, or surfaces kept out of the fit agreed less with it: the input was
-    /// kept.
+    /// Whether the input was kept: the result was less sharp, or surfaces held out of the fit agreed less
+    /// with it.
     pub kept_input: bool,
-    /// It was stopped before it had converged.
+    /// Whether it was stopped before convergence.
     pub stopped: bool,
-    /// What the user should look at.
+    /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
 impl RefineReport {
-    /// The report of a refinement that has done nothing yet.
+    /// The report of a refinement before its first step.
     pub(crate) fn new(method: Method, odometry: OdometryNoise) -> Self {
         Self {
             method,
@@ -173,23 +176,23 @@ impl RefineReport {
 pub struct Refined {
     /// The trajectory.
     pub trajectory: DenseTrajectory,
-    /// What was done.
+    /// The report.
     pub report: RefineReport,
     pub(crate) corrections: Corrections,
-    /// Input and result in the intervals of time that the trajectory covers, seconds.
+    /// Intervals of time that the trajectory covers, seconds.
     pub(crate) intervals: Vec<[f64; 2]>,
 }
 
 /// A point in the world, before and after.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlacedPoint {
-    /// Seconds since [`PointStore::start`], by the recording.
+    /// Seconds since [`PointStore::start`], by the clock of the recording.
     pub seconds: f64,
-    /// Which of [`PointStore::sensors`] saw it.
+    /// Index of its sensor in [`PointStore::sensors`].
     pub sensor: usize,
-    /// With the input, metres.
+    /// Position with the input, metres.
     pub before: [f64; 3],
-    /// With the result, metres.
+    /// Position with the result, metres.
     pub after: [f64; 3],
 }
 
@@ -204,7 +207,7 @@ pub struct BeforeAndAfter<'a> {
 }
 
 impl<'a> BeforeAndAfter<'a> {
-    /// Of the points that were refined with.
+    /// For the points that were used in the refinement.
     pub fn new(points: &'a PointStore, refined: &'a Refined) -> Self {
         let trajectory = &refined.trajectory;
         Self {
@@ -239,7 +242,7 @@ impl<'a> BeforeAndAfter<'a> {
 }
 
 impl Refined {
-    /// What was found about the place and the clock of a sensor and applied; nothing without calibration.
+    /// Estimated correction of the extrinsics and the clock of a sensor; identity without calibration.
     pub fn correction(&self, sensor: usize) -> SensorCorrection {
         *self.corrections.of(sensor.min(crate::MAX_SENSORS - 1))
     }

@@ -1,4 +1,4 @@
-//! The fine rounds: knots, planes and sensors are solved for, with ever sharper patches, until nothing moves.
+//! The fine rounds: knots, planes and sensors are solved for, with ever sharper patches, until convergence.
 
 use portolan_geometry::{Vector3, angular_distance};
 
@@ -16,21 +16,23 @@ use crate::RefineError;
 
 /// Seconds between the knots of the first round.
 const FIRST_SPACING: f64 = 0.5;
-/// Gap between planes in the first round and later, metres.
+/// Distance that separates planes, in the first round and later, metres.
 const GAPS: [f64; 2] = [0.15, 0.10];
-/// Most steps of a round, and the shift of a knot below which it ends earlier, metres.
+/// Maximum number of steps of a round.
 const STEPS: usize = 3;
+/// Shift of the knots below which a round ends earlier, metres.
 const STEPS_REST: f64 = 0.0005;
-/// Rounds end when the root mean square movement of a round is below this, metres and radians …
+/// Root mean square movement of a round below which rounds end, metres and radians; sensors must be at rest, too.
 const RESTS: (f64, f64) = (0.001, 0.0005);
-/// … and no sensor moves farther: metres, radians, seconds.
+/// Movement of a sensor above which rounds go on: metres, radians, seconds.
 const SENSOR_RESTS: [f64; 3] = [0.001, 0.0003, 0.0005];
-/// Most rounds with all points at the end, which begin where those with most points ended.
+/// Maximum number of final rounds with all points, which start from the result of the rounds with most
+/// points.
 const LAST_ROUNDS: usize = 2;
 /// Usual number of rounds, for progress.
 const USUAL_ROUNDS: f64 = 4.0;
 
-/// The share that is done after so many rounds.
+/// Fraction of the work that is done after this number of rounds.
 fn progress(rounds: f64) -> f64 {
     0.4 + 0.6 * (rounds / USUAL_ROUNDS).min(0.99)
 }
@@ -41,7 +43,7 @@ pub(super) struct Rounds<'r, 'a, 'b> {
     pub others: OtherSensors<'b>,
     /// Sensors that are calibrated.
     sensors: SensorUnknowns,
-    /// What was found about them so far.
+    /// Estimates of their corrections so far.
     found: Vec<[f64; PER_SENSOR]>,
 }
 
@@ -54,18 +56,18 @@ impl<'r, 'a, 'b> Rounds<'r, 'a, 'b> {
         Self { run, others, sensors, found }
     }
 
-    /// Rounds with what is fitted, until nothing moves.
+    /// Rounds with the fitted points, until convergence.
     pub fn run(&mut self) -> Result<(), RefineError> {
         self.rounds(0, self.run.options.max_rounds)?;
         Ok(())
     }
 
-    /// Judges what was reached by what took no part in it. Whether it is better than the input.
+    /// Evaluates the result by held-out points. Returns whether it is better than the input.
     pub fn cross_validate(&mut self) -> bool {
         self.run.cross_validate()
     }
 
-    /// Ends with all points, those that were kept out of the fit included.
+    /// Final rounds with all points, including those that were held out of the fit.
     pub fn end(&mut self) -> Result<(), RefineError> {
         self.run.part = Part::All;
         match self.rounds(self.run.options.max_rounds, LAST_ROUNDS)? {
@@ -74,7 +76,8 @@ impl<'r, 'a, 'b> Rounds<'r, 'a, 'b> {
         }
     }
 
-    /// Rounds that are counted from `first` on; patches and knots of the last one, unless it was stopped.
+    /// Rounds that are counted from `first` on. Returns patches and knots of the last one, unless it was
+    /// stopped.
     fn rounds(&mut self, first: usize, number: usize) -> Result<Option<(SurfelMap, Knots)>, RefineError> {
         let options = self.run.options;
         let mut last = None;
@@ -111,7 +114,7 @@ impl<'r, 'a, 'b> Rounds<'r, 'a, 'b> {
         Ok(last)
     }
 
-    /// The steps of one round; whether a sensor still moves at the end.
+    /// The steps of one round. Returns whether a sensor still moves at the end.
     fn steps(&mut self, map: &SurfelMap, knots: &Knots, round: usize) -> Result<bool, RefineError> {
         let gap = GAPS[usize::from(round > 0)];
         let mut moved = false;
@@ -173,7 +176,8 @@ impl<'r, 'a, 'b> Rounds<'r, 'a, 'b> {
         })
     }
 
-    /// One more step with covariances, which is not made: what calibration has found, or would find.
+    /// One more step with covariances, which is not applied: the result of the calibration, or what it would
+    /// be.
     fn judge_sensors(&mut self, map: &SurfelMap, knots: &Knots) -> Result<(), RefineError> {
         let sensors = all_but_the_first(self.run);
         if sensors.is_empty() {
@@ -194,15 +198,15 @@ impl<'r, 'a, 'b> Rounds<'r, 'a, 'b> {
     }
 }
 
-/// All sensors that have seen something but the first, which says where the others are.
+/// All sensors with points except the first, relative to which the others are calibrated.
 fn all_but_the_first(run: &Run) -> SensorUnknowns {
     let sensors: Vec<usize> = (1..run.session.sensor_origins.len()).collect();
     let origins: Vec<Vector3> = sensors.iter().map(|s| run.session.sensor_origins[*s]).collect();
     SensorUnknowns { sensors, origins }
 }
 
-/// Root mean square shift (metres) and turn (radians) between two states of one trajectory, without what both
-/// have in common as one body.
+/// Root mean square translation (metres) and rotation (radians) between two states of one trajectory, without
+/// their common rigid motion.
 fn movement(before: &DenseTrajectory, after: &DenseTrajectory) -> (f64, f64) {
     let seconds = |i: usize| i as f64 * 0.1;
     let count = (before.duration() / 0.1) as usize + 1;

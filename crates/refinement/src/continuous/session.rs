@@ -1,4 +1,4 @@
-//! What all methods share: points in the time of the trajectory, the report, the judgement at the end.
+//! State shared by all methods: points in the time of the trajectory, the report, and the final checks.
 
 use nalgebra::Matrix6;
 use portolan_geometry::{Duration, Rigid3, Time, Vector3};
@@ -12,26 +12,28 @@ use super::{held_out, long_shape};
 use crate::{MAX_SENSORS, PointStore, RefineError, StoredPoint};
 use portolan_spatial::{Sharpness, SharpnessOptions, sharpness, spread_sample};
 
-/// Points with which the sharpness of a round is measured, and neighbourhoods.
+/// Number of points with which the sharpness of a round is measured.
 const ROUND_POINTS: usize = 100_000;
+/// Number of neighbourhoods for that.
 const ROUND_QUERIES: usize = 5_000;
 
-/// A refinement at work.
+/// A refinement in progress.
 pub(crate) struct Session<'a> {
     pub points: TimedPoints<'a>,
-    /// Those in which surfaces are looked for, if that is not all.
+    /// The points in which surfaces are searched, if not all.
     thinned: Option<Vec<StoredPoint>>,
     pub coverage: Coverage,
     pub trajectory: DenseTrajectory,
-    /// What the surfaces determine, second by second; empty if the method does not know.
+    /// Information of the surfaces, second by second; empty if the method does not compute it.
     pub information: Vec<Matrix6<f64>>,
     pub report: RefineReport,
-    /// Names and places (tracking frame) of the sensors.
+    /// Names of the sensors.
     pub sensor_names: Vec<String>,
+    /// Positions of the sensors in the tracking frame.
     pub sensor_origins: Vec<Vector3>,
-    /// How it began, so many seconds without trajectory at the beginning and at the end of the points.
+    /// Seconds without trajectory at the beginning and at the end of the points.
     pub uncovered_ends: [f64; 2],
-    /// Whether the input seems to be of another recording.
+    /// Whether the input seems to belong to another recording.
     pub fits_nowhere: bool,
 }
 
@@ -85,13 +87,13 @@ impl<'a> Session<'a> {
         Ok(session)
     }
 
-    /// The points in which surfaces are looked for, as corrected so far.
+    /// The points in which surfaces are searched, with current corrections.
     pub fn points_for_surfaces(&self) -> TimedPoints<'_> {
         let points = self.thinned.as_deref().unwrap_or(self.points.points);
         TimedPoints { points, corrections: self.points.corrections.clone(), ..self.points }
     }
 
-    /// Measures how sharp the cloud is now.
+    /// Measures the current sharpness of the cloud.
     pub fn measure_round(&mut self, _round: usize) {
         let options = SharpnessOptions {
             max_points: ROUND_POINTS,
@@ -107,8 +109,8 @@ impl<'a> Session<'a> {
         }));
     }
 
-    /// Calls `visit` with the points for surfaces between two times that the trajectory covers: seconds, place in the
-    /// tracking frame, place in the world.
+    /// Calls `visit` with the points for surfaces between two times that the trajectory covers: seconds,
+    /// position in the tracking frame, position in the world.
     pub fn for_each_point(&self, [from, to]: [f64; 2], mut visit: impl FnMut(f64, [f32; 3], Vector3)) {
         let points = self.points_for_surfaces();
         let matrices = self.trajectory.matrices_between(from, to);
@@ -123,7 +125,7 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Takes back everything, and says why.
+    /// Restores the input, and reports why.
     pub fn keep_input(&mut self, why: &str) {
         self.trajectory.reset();
         self.points.corrections = Corrections::default();
@@ -133,8 +135,8 @@ impl<'a> Session<'a> {
         report.warnings.push(why.to_owned());
     }
 
-    /// Judges the result, keeps the input if that is sharper, and lets `settle` move the whole (which begins at the first
-    /// pose of the input now, moved there by the given transform).
+    /// Checks the result, keeps the input if that is sharper, and lets `settle` move the whole (which then
+    /// begins at the first pose of the input, moved there by the given transform).
     pub fn finish(mut self, settle: impl FnOnce(&mut DenseTrajectory, &Rigid3)) -> Refined {
         self.report.long_shape_held_seconds = long_shape::keep(&mut self.trajectory);
         if let Some(validation) = self.report.cross_validation.as_ref().filter(|v| !v.is_refused) {
@@ -212,7 +214,7 @@ fn no_overlap(store: &PointStore, points: &TimedPoints, trajectory: &DenseTrajec
     let end = start + Duration::from_seconds(posed);
     let span = |from: Time, to: Time| format!("{:.3} to {:.3} s", from.unix_seconds(), to.unix_seconds());
     let recorded = last.seconds_since(first);
-    // From beginnings together to ends together.
+    // Offset between the beginnings and offset between the ends.
     let (a, b) = (first.seconds_since(start), last.seconds_since(end));
     let found = time_base::look(points, trajectory, 0.5 * (a + b), 0.5 * (a - b).abs() + 2.0);
     let hint = match found {

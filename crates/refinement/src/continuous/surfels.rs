@@ -1,9 +1,9 @@
-//! Surfels: planar patches as seen during a short window of time, and the clusters of points in them.
+//! Extracts surfels: planar patches seen in a short window of time, and the clusters of points in them.
 //!
-//! Within a window the trajectory is good enough that a wall is one sheet. Points fall into cubic cells of
-//! three sizes; the largest planar one is a patch. What is optimised later sees only clusters: the mean of the
-//! points of one patch within a few hundredths of a second. Their number follows from the surface seen, not
-//! from the number of points.
+//! Within a window the trajectory is accurate enough that a wall is one sheet. Points are sorted into cubic
+//! cells of three sizes; the largest planar cell becomes a patch. The later optimisation uses only clusters:
+//! the mean of the points of one patch within a few hundredths of a second. The number of clusters depends on
+//! the visible surface, not on the number of points.
 
 use portolan_geometry::{Rigid3, Vector3, nalgebra as na};
 use rayon::prelude::*;
@@ -16,23 +16,23 @@ use super::held_out::Selection;
 use crate::point_store::StoredPoint;
 use portolan_spatial::{Moments, PlaneFit};
 
-/// Edge of the smallest cells, metres; those of the larger ones are two and four times that.
+/// Edge of the smallest cells, metres. The larger ones have twice and four times that.
 pub(crate) const FINEST_CELL: f64 = 0.25;
 const LEVELS: usize = 3;
-/// Patches of fewer points are not used.
+/// Minimum number of points of a patch.
 const MIN_POINTS: f64 = 8.0;
-/// Points farther from their patch than this many standard deviations do not belong to it.
+/// Number of standard deviations up to which a point belongs to its patch.
 const GATE: f64 = 3.0;
-/// Least standard deviation for that gate, metres.
+/// Minimum standard deviation for that gate, metres.
 const LEAST_DEVIATION: f64 = 0.01;
-/// Points of a patch within so many seconds of each other are one cluster.
+/// Time span of the points of a cluster, seconds.
 const CLUSTER_SECONDS: f64 = 0.05;
-/// Patches seen flatter than this (cosine of the angle of incidence) are not used.
+/// Minimum cosine of the angle of incidence of a patch: at grazing incidence patches are not used.
 const LEAST_INCIDENCE: f64 = 0.05;
 const NONE: u32 = u32::MAX;
 
-/// A planar patch as one sensor saw it during a window. Poses are those of [`DenseTrajectory`]; times and places are those
-/// of the recording, to be corrected as its points are.
+/// A planar patch seen by one sensor during a window. Poses are those of [`DenseTrajectory`]. Times and
+/// positions are uncorrected, as in the recording; corrections are applied as to its points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Surfel {
     /// The sensor.
@@ -47,9 +47,9 @@ pub(crate) struct Surfel {
     pub count: f64,
     /// Variance across, square metres.
     pub variance: f64,
-    /// Its clusters.
+    /// Index of its first cluster.
     pub first_cluster: u32,
-    /// How many.
+    /// Number of its clusters.
     pub cluster_count: u32,
 }
 
@@ -64,10 +64,10 @@ pub(crate) struct Cluster {
     pub count: f32,
 }
 
-/// What one sensor saw during a window.
+/// Surfels of one sensor in a window.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Window {
-    /// The number of the window.
+    /// Number of the window.
     pub number: usize,
     /// Its surfels.
     pub surfels: std::ops::Range<usize>,
@@ -80,12 +80,12 @@ pub(crate) struct SurfelMap {
     pub clusters: Vec<Cluster>,
     /// For each window, and in it for each sensor, a range of surfels.
     pub windows: Vec<Window>,
-    /// Points that were looked at, on patches or not.
+    /// Number of points that were processed, on patches or not.
     pub looked_at: usize,
 }
 
 impl SurfelMap {
-    /// Fraction of the points that lie on patches, 0 to 1.
+    /// Fraction of the points on patches, 0 to 1.
     pub fn planar_share(&self) -> f64 {
         self.surfels.iter().map(|s| s.count).sum::<f64>() / self.looked_at.max(1) as f64
     }
@@ -131,7 +131,7 @@ struct WindowSurfels {
     looked_at: usize,
 }
 
-/// A planar cell, perhaps joined with a neighbour.
+/// A planar cell, possibly joined with a neighbour.
 struct Patch {
     fit: PlaneFit,
     moments: Moments,
@@ -141,10 +141,10 @@ struct Patch {
     root: u32,
 }
 
-/// Memory that is used again from window to window.
+/// Memory that is reused from window to window.
 #[derive(Default)]
 struct Workspace {
-    /// When, and where in the tracking frame.
+    /// Times, and positions in the tracking frame.
     points: Vec<(f64, [f32; 3])>,
     cells: Cells,
     parents: Cells,
@@ -156,7 +156,7 @@ struct Workspace {
 }
 
 impl Workspace {
-    /// Takes the points of a sensor that are selected.
+    /// Takes the selected points of a sensor.
     fn take(&mut self, points: &TimedPoints, seen: &[StoredPoint], sensor: usize, selection: Selection) {
         self.points.clear();
         let is_wanted =
@@ -173,7 +173,8 @@ impl Workspace {
         matrices: &PoseMatrices,
     ) -> WindowSurfels {
         let Some(middle) = self.points.get(self.points.len() / 2) else { return WindowSurfels::default() };
-        // Near the window, so that squares keep their digits; on the grid, so that cells of all windows agree.
+        // Near the window, so that squares keep their digits; on the grid, so that cells of all windows
+        // coincide.
         let coarsest = FINEST_CELL * f64::from(1 << (LEVELS - 1));
         let place = trajectory.pose(middle.0).translation.vector;
         let origin = place.map(|v| (v / coarsest).round() * coarsest);
@@ -212,7 +213,7 @@ impl Workspace {
         }
     }
 
-    /// From the largest cells to the smallest: a cell that is planar and not yet part of a patch is one.
+    /// From the largest cells to the smallest: a planar cell that is not yet part of a patch becomes one.
     fn find_patches(&mut self) {
         self.patches.clear();
         self.patch_of_cell.clear();
@@ -246,8 +247,8 @@ impl Workspace {
         }
     }
 
-    /// A wall that lies on the border of two cells is half in each, and each half would have a mean and a
-    /// thickness of its own: such patches are joined across the border.
+    /// Joins patches across the border of two cells: a wall on the border is half in each cell, and each half
+    /// would have a mean and a thickness of its own.
     fn join_neighbours(&mut self) {
         for i in 0..self.patches.len() {
             let Patch { level, key, root, .. } = self.patches[i];
@@ -274,11 +275,11 @@ impl Workspace {
         }
     }
 
-    /// A patch of the same level in the cell whose least finest cell is `key`.
+    /// A patch of the same level in the cell whose lowest finest cell is `key`.
     fn patch_near(&self, key: &Key, level: usize, axis: usize) -> Option<u32> {
         let side = 1 << level;
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-        // Only the layer next to the border matters.
+        // Only the layer next to the border is searched.
         for a in 0..side {
             for b in 0..side {
                 let mut cell = *key;
@@ -293,8 +294,8 @@ impl Workspace {
         None
     }
 
-    /// Each point goes to the patch of its cell, or to that of the cell beyond the nearest border, if it lies
-    /// within the thickness of that patch.
+    /// Assigns each point to the patch of its cell, or to that of the cell beyond the nearest border, if it
+    /// is within the thickness of that patch.
     fn assign_points(&mut self) {
         self.patch_of_point.clear();
         for (p, cell) in self.in_world.iter().zip(&self.cell_of_point) {
@@ -315,7 +316,7 @@ impl Workspace {
                     beside[axis] += step;
                     let patch = self.patch_of_cell[self.cells.find(&beside)?];
                     let found = self.belonging(patch, &point)?;
-                    // Only across the patch: beyond its edges a patch does not go on.
+                    // Only across the patch: beyond its edges a patch does not continue.
                     (self.patches[found as usize].fit.normal.iamax() == axis).then_some(found)
                 })
             });
@@ -420,7 +421,7 @@ impl Workspace {
     }
 }
 
-/// The plane of a cell of a level, if its points are wide in two directions and thin in the third.
+/// The plane of a cell of a level, if its points extend in two directions and are thin in the third.
 fn planar(moments: &Moments, level: usize) -> Option<PlaneFit> {
     if moments.count < MIN_POINTS {
         return None;

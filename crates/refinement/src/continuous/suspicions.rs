@@ -1,4 +1,4 @@
-//! What may be wrong with the input, said in words that name what would be right.
+//! Warns of probable errors of the input, and suggests corrections.
 
 use super::mounting::{self, Mounting};
 use super::report::Method;
@@ -6,15 +6,15 @@ use super::session::Session;
 use super::time_base::{self, TimeBase};
 use crate::MotionSensors;
 
-/// With a smaller share of points on planar patches something is wrong with the input.
+/// Fraction of points on planar patches below which the input is suspect.
 const LEAST_PLANAR_SHARE: f64 = 0.2;
-/// Calibrations are believed from so many standard deviations on.
+/// Number of standard deviations from which a calibration is significant.
 const SIGNIFICANT: f64 = 6.0;
-/// An input that can be sharpened by this much (entropy) was of this recording.
+/// Decrease of the entropy from which the input counts as belonging to this recording.
 const SHARPENED: f64 = 0.3;
-/// Poses farther apart than this are sparse, seconds.
+/// Interval from which poses are sparse, seconds.
 const SPARSE: f64 = 0.04;
-/// More points than this fraction outside the trajectory are worth a word.
+/// Fraction of points outside the trajectory above which a warning is given.
 const OUTSIDE: f64 = 0.05;
 
 impl Session<'_> {
@@ -22,7 +22,7 @@ impl Session<'_> {
         self.report.warnings.push(text);
     }
 
-    /// Before anything is done: does the trajectory belong to the points?
+    /// Before the refinement: checks whether the trajectory belongs to the points.
     pub fn look_for_suspicions(&mut self) {
         match time_base::look(&self.points, &self.trajectory, 0.0, 0.0) {
             TimeBase::Fits => {}
@@ -34,7 +34,7 @@ impl Session<'_> {
         }
     }
 
-    /// What was found about a lidar.
+    /// Adds the estimated mounting of a lidar.
     pub fn note_sensor(&mut self, mounting: Mounting, calibrated: bool) {
         let significant = mounting.significant(SIGNIFICANT);
         if !calibrated && significant.contains(&true) {
@@ -56,7 +56,7 @@ impl Session<'_> {
         self.report.mountings.push(mounting);
     }
 
-    /// Compares motions: those of the result with those of the input and of the IMU.
+    /// Compares the motion of the result with those of the input and of the IMU.
     pub fn judge_mountings(&mut self, sensors: &MotionSensors) {
         if let Some(mounting) = mounting::of_input(&self.trajectory, &self.coverage.gaps) {
             let significant = mounting.significant(SIGNIFICANT);
@@ -80,7 +80,8 @@ impl Session<'_> {
         let imu = mounting::of_imu(&self.trajectory, sensors, self.trajectory.start());
         if let Some(imu) = &imu {
             let mut significant = imu.significant(SIGNIFICANT);
-            // Between sparse poses the velocity is not known well enough to place an accelerometer.
+            // Between sparse poses the velocity is not accurate enough to determine the position of an
+            // accelerometer.
             significant[0] &= self.coverage.usual_step < SPARSE;
             if significant.contains(&true) {
                 let words = imu.words(significant);
@@ -92,7 +93,7 @@ impl Session<'_> {
         self.report.imu = imu;
     }
 
-    /// At the end: what of the input could not be used.
+    /// At the end: warns of the parts of the input that could not be used.
     pub fn warn_of_input(&mut self) {
         let report = &self.report;
         let mut said = Vec::new();
@@ -100,7 +101,7 @@ impl Session<'_> {
             (Some(before), Some(after)) => before.mean_map_entropy - after.mean_map_entropy,
             _ => 0.0,
         };
-        // What was bent until it is sharp proves nothing: something else must agree.
+        // The sharpness that was optimised proves nothing by itself: held-out surfaces must agree.
         let is_validated = match report.method {
             Method::Continuous(_) => report.cross_validation.as_ref().is_some_and(|v| !v.is_refused),
             Method::SemiRigid(_) => true,

@@ -1,5 +1,6 @@
-//! Do trajectory and points belong together? Points of short windows are placed with the trajectory, shifted in time by
-//! several seconds, and with none at all; the sharper, the better it fits.
+//! Tests whether trajectory and points belong together. Points of short windows are placed with the
+//! trajectory, shifted in time by up to several seconds, and with none at all; the sharper the result, the
+//! better the fit.
 
 use portolan_geometry::{Rigid3, Vector3};
 use rayon::prelude::*;
@@ -10,48 +11,53 @@ use super::dense_trajectory::DenseTrajectory;
 
 /// Length of a window, seconds.
 const WINDOW: f64 = 1.0;
+/// Number of windows.
 const WINDOWS: usize = 16;
-/// Points of a window that are looked at.
+/// Maximum number of points of a window that are used.
 const POINTS: usize = 8000;
-/// Edges of the cells, metres: twice the motion during a sweep of most lidars, seconds, so that what is not where it was a turn
-/// ago is in the same cell and makes it thick; within bounds.
+/// Bounds of the edges of the cells, metres. The edge is twice the motion during a sweep of most lidars, so
+/// that surfaces displaced by the motion of one turn are in the same cell and make it thick.
 const CELL: [f64; 2] = [0.5, 4.0];
+/// Duration of a sweep of most lidars, seconds.
 const TURN: f64 = 0.1;
-/// Thinner than this nothing needs to be, metres.
+/// Thickness added to all cells, metres: below it, thinner cells do not count as sharper.
 const THIN: f64 = 0.01;
 /// Steps of the search, seconds.
 const STEP: f64 = 0.1;
-/// Seconds to each side that are always searched, and that are searched if the trajectory does not fit.
+/// Offsets to each side that are always searched, seconds.
 const NEAR: f64 = 2.0;
+/// Offsets to each side that are searched if the trajectory does not fit, seconds.
 const FAR: f64 = 30.0;
-/// Differences of so many standard errors are believed …
+/// Number of standard errors from which a difference is significant, if it is also at least [`LARGE`].
 const SIGNIFICANT: f64 = 4.0;
-/// … if they are also this large (natural logarithm of the thickness).
+/// Minimum of a significant difference (natural logarithm of the thickness).
 const LARGE: f64 = 0.05;
-/// A trajectory that is sharper than standing still by so many standard errors is one of this recording, however inexact.
+/// Number of standard errors by which a trajectory must be sharper than standing still to belong to this
+/// recording, however inaccurate it is.
 const HINT: f64 = 1.0;
-/// A trajectory that moves less than this in the windows, on average, cannot be distinguished from standing, metres and radians.
+/// Mean motion in the windows below which a trajectory cannot be distinguished from standing still, metres
+/// and radians.
 const STANDING: (f64, f64) = (0.05, 0.03);
 
-/// How trajectory and points fit together in time.
+/// Result of the test of the times of trajectory and points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum TimeBase {
-    /// As well as can be determined.
+    /// The times fit, as well as can be determined.
     Fits,
-    /// Better with so many seconds added to the stamps of the trajectory.
+    /// The times fit better with this offset added to the stamps of the trajectory, seconds.
     FitsWith(f64),
-    /// No better than if the sensor had stood still.
+    /// They fit no better than if the sensor had stood still.
     FitsNowhere,
 }
 
 /// Points of one window.
 struct Sample {
-    /// Seconds in the time of the trajectory, and place in the tracking frame.
+    /// Times in seconds since the start of the trajectory, and positions in the tracking frame.
     points: Vec<(f64, [f32; 3])>,
 }
 
-/// Looks whether the trajectory fits; `around` is where in time to begin, seconds to be added to its stamps, and how far
-/// to search from there at least.
+/// Tests whether the trajectory fits. The search begins at the offset `around`, seconds added to its stamps,
+/// and covers at least `reach` seconds to each side.
 pub(crate) fn look(points: &TimedPoints, trajectory: &DenseTrajectory, around: f64, reach: f64) -> TimeBase {
     let samples = samples(points);
     if samples.len() < WINDOWS / 3 {
@@ -59,7 +65,7 @@ pub(crate) fn look(points: &TimedPoints, trajectory: &DenseTrajectory, around: f
     }
     let edge = (2.0 * TURN * speed(trajectory, &samples)).clamp(CELL[0], CELL[1]);
     let score = |delay: f64| -> Vec<Option<f64>> {
-        // Added to the stamps of the trajectory: its pose of s − delay belongs to s.
+        // Added to the stamps of the trajectory: its pose at s − delay belongs to s.
         samples.par_iter().map(|s| thickness(s, edge, |at| pose_within(trajectory, at - delay))).collect()
     };
     let still: Vec<Option<f64>> =
@@ -110,7 +116,7 @@ fn samples(points: &TimedPoints) -> Vec<Sample> {
         let start = from + i as f64 * step;
         let part = points.between([start, start + WINDOW]);
         let stride = part.len().div_ceil(POINTS).max(1);
-        // Not in step with the rings of a scanner.
+        // Not synchronous with the rings of a scanner.
         let stride = if stride > 1 && stride.is_multiple_of(2) { stride + 1 } else { stride };
         Sample { points: part.iter().step_by(stride).map(|p| points.place(p)).collect() }
     };
@@ -132,7 +138,7 @@ fn speed(trajectory: &DenseTrajectory, samples: &[Sample]) -> f64 {
     if count > 0.0 { sum / count } else { 0.0 }
 }
 
-/// Whether the trajectory moves at all while the samples were taken.
+/// Whether the trajectory moves during the samples.
 fn moves(trajectory: &DenseTrajectory, samples: &[Sample]) -> bool {
     let (mut shift, mut turn, mut count) = (0.0, 0.0, 0.0);
     for sample in samples {
@@ -147,13 +153,13 @@ fn moves(trajectory: &DenseTrajectory, samples: &[Sample]) -> bool {
     shift > STANDING.0 * count || turn > STANDING.1 * count
 }
 
-/// Mean logarithm of the thickness of what is in a cell, weighted with the points in it; none outside the trajectory.
+/// Mean logarithm of the thickness of the cells, weighted with their points; none outside the trajectory.
 fn thickness(sample: &Sample, edge: f64, pose: impl Fn(f64) -> Option<Rigid3>) -> Option<f64> {
     let mut cells = Cells::default();
     let (mut known, mut at) = (None, f64::NEG_INFINITY);
     let mut origin = None;
     for (seconds, p) in &sample.points {
-        // A pose for each five milliseconds is enough here.
+        // One pose for each five milliseconds is enough here.
         if known.is_none() || (seconds - at).abs() > 0.005 {
             (known, at) = (Some(pose(*seconds)?), *seconds);
         }
@@ -177,7 +183,7 @@ fn differences(a: &[Option<f64>], b: &[Option<f64>]) -> Vec<f64> {
     a.iter().zip(b).filter_map(|(a, b)| Some((*a)? - (*b)?)).collect()
 }
 
-/// How much sharper `a` is than `b`, and how many standard errors that is; none with too few windows.
+/// By how much `a` is sharper than `b`, and the same in standard errors; none with too few windows.
 fn improvement(a: &[Option<f64>], b: &[Option<f64>]) -> Option<(f64, f64)> {
     let differences = differences(b, a);
     let count = differences.len() as f64;
@@ -194,8 +200,8 @@ fn is_better(a: &[Option<f64>], b: &[Option<f64>]) -> bool {
     improvement(a, b).is_some_and(|(mean, errors)| mean > LARGE && errors > SIGNIFICANT)
 }
 
-/// How much sharper than standing still, on average over the windows within the trajectory; nothing can be said with fewer
-/// than half of them.
+/// By how much it is sharper than standing still, on average over the windows within the trajectory; minus
+/// infinity with fewer than half of them.
 fn gain(scores: &[Option<f64>], still: &[Option<f64>]) -> f64 {
     let differences = differences(still, scores);
     if 2 * differences.len() < still.len() {

@@ -1,22 +1,22 @@
-//! What is known of single moments: tilt and place.
+//! Measurements at single times as terms of the optimisation: tilt and position.
 
 use portolan_geometry::Vector3;
 
 use super::Knots;
 
-/// Three residuals at one moment, which moves with the knots around it.
+/// Three residuals at one time, which depend on the knots around it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct UnaryTerm {
     pub knot: usize,
-    /// How far it is towards the next knot, 0 to 1.
+    /// Position between the knot and the next, 0 to 1.
     pub fraction: f64,
-    /// Jacobian with respect to the increment (shift, turn) at the moment, and residual.
+    /// Jacobian with respect to the increment (translation, rotation) at this time, and residual.
     pub rows: [([f64; 6], f64); 3],
     pub weight: f64,
 }
 
 impl UnaryTerm {
-    /// A vector in the world that turns with the tracking frame and should be less by `residual`.
+    /// A vector in the world that rotates with the tracking frame and has the error `residual`.
     pub fn tilt(
         knots: &Knots,
         seconds: f64,
@@ -32,7 +32,7 @@ impl UnaryTerm {
         Self::new(knots, seconds, [row(0), row(1), row(2)], residual, deviation, robust)
     }
 
-    /// A position that should be less by `residual`.
+    /// A position with the error `residual`.
     pub fn place(knots: &Knots, seconds: f64, residual: &Vector3, deviation: f64, robust: f64) -> Self {
         let row = |k: usize| {
             let mut jacobian = [0.0; 6];

@@ -1,4 +1,4 @@
-//! What is solved for besides the trajectory: seven numbers for each sensor that is calibrated.
+//! Unknowns besides the trajectory: seven for each sensor that is calibrated.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, SMatrix, SVector};
 use portolan_geometry::Vector3;
@@ -7,10 +7,10 @@ use super::block_tridiagonal::BlockTridiagonal;
 use super::information::LEAST_SHARE;
 use crate::MAX_SENSORS;
 
-/// Shift, turn (tracking frame, about the sensor), and delay of a sensor.
+/// Number of unknowns of a sensor: translation, rotation (tracking frame, about the sensor), and delay.
 pub(crate) const PER_SENSOR: usize = 7;
-/// How wrong extrinsics (metres, radians) and stamps (seconds) may be, as standard deviations, before anything is
-/// known. Wide, so that only what the motion does not determine feels it.
+/// Prior standard deviations of extrinsics (metres, radians) and stamps (seconds). They are wide, so that
+/// they only affect directions that the motion does not determine.
 pub(crate) const PRIOR: [f64; 3] = [0.2, 0.1, 0.1];
 
 /// Which sensors are calibrated.
@@ -18,7 +18,7 @@ pub(crate) const PRIOR: [f64; 3] = [0.2, 0.1, 0.1];
 pub(crate) struct SensorUnknowns {
     /// Their numbers.
     pub sensors: Vec<usize>,
-    /// Where they are in the tracking frame.
+    /// Their positions in the tracking frame.
     pub origins: Vec<Vector3>,
 }
 
@@ -31,35 +31,35 @@ impl SensorUnknowns {
         self.sensors.is_empty()
     }
 
-    /// For each sensor which of the unknowns it is.
+    /// For each sensor its index among the unknowns.
     pub fn columns(&self) -> [Option<usize>; MAX_SENSORS] {
         std::array::from_fn(|sensor| self.sensors.iter().position(|s| *s == sensor))
     }
 
-    /// Inverse variances of what is known beforehand.
+    /// Inverse variances of the prior.
     pub fn prior(&self) -> Vec<f64> {
         let weight = |k: usize| 1.0 / PRIOR[k / 3].powi(2);
         (0..self.size()).map(|i| weight(i % PER_SENSOR)).collect()
     }
 }
 
-/// What was found about a sensor in one step.
+/// Estimate for a sensor in one step.
 #[derive(Clone, Debug)]
 pub(crate) struct SensorIncrement {
     pub sensor: usize,
     pub value: [f64; PER_SENSOR],
-    /// Covariance, if it was asked for.
+    /// Covariance, if requested.
     pub covariance: Option<SMatrix<f64, PER_SENSOR, PER_SENSOR>>,
 }
 
 /// The preconditioner: the block-tridiagonal part of the knots, bordered by the other unknowns, exactly.
 pub(crate) struct Bordered {
     pub knots: BlockTridiagonal,
-    /// Columns of the matrix that belong to the other unknowns: their part over the knots …
+    /// Full columns of the matrix for the other unknowns, with their part over the knots.
     border: Vec<Vec<f64>>,
-    /// … that part with the knots eliminated …
+    /// That part with the knots eliminated.
     solved: Vec<Vec<f64>>,
-    /// … and what is left of the other unknowns then.
+    /// The Schur complement of the other unknowns, factorised.
     rest: Option<Cholesky<f64, Dyn>>,
 }
 
@@ -115,8 +115,8 @@ pub(crate) fn blocks(covariance: &DMatrix<f64>) -> Vec<SMatrix<f64, PER_SENSOR, 
         .collect()
 }
 
-/// Standard deviations, as far as they can be believed: a direction of shift or turn that is known by far less than the best
-/// one is known only by the inexactness of normals, that is, not at all.
+/// Realistic standard deviations: a direction of translation or rotation with much less information than the
+/// best one is observed only through errors of normals, that is, not at all.
 pub(crate) fn believable_deviations(covariance: &SMatrix<f64, PER_SENSOR, PER_SENSOR>) -> [f64; PER_SENSOR] {
     let mut deviations = [covariance[(6, 6)].max(0.0).sqrt(); PER_SENSOR];
     for (first, prior) in [(0, PRIOR[0]), (3, PRIOR[1])] {

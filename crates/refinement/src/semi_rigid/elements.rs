@@ -1,28 +1,30 @@
-//! The equations over all elements of the trajectory: each pair of points ties the two elements that measured them.
+//! The equations over all elements of the trajectory: each pair of points connects the two elements that
+//! measured them.
 //!
-//! For points p and q of the elements i and j, with the normal n of their surface: `n·(p − q) + n·τ_i + ((p−c_i)×n)·φ_i −
-//! n·τ_j − ((q−c_j)×n)·φ_j = 0`, with shift τ and turn φ of an element about its place c. This is what equations 7 to 15 of the
-//! paper sum up for whole sections (D and C), with nothing fused: no section has to stay rigid.
+//! For points p and q of the elements i and j, with the normal n of their surface:
+//! `n·(p − q) + n·τ_i + ((p−c_i)×n)·φ_i − n·τ_j − ((q−c_j)×n)·φ_j = 0`, with translation τ and rotation φ of
+//! an element about its position c. Equations 7 to 15 of the paper sum this up for whole sections (D and C);
+//! here nothing is summed, so no section has to stay rigid.
 
 use portolan_geometry::Vector3;
 use rayon::prelude::*;
 
 use crate::continuous::Knots;
 
-/// Pairs are worked on in so many parts, whatever the number of threads.
+/// Number of parts in which pairs are processed, independent of the number of threads.
 const PARTS: usize = 8;
 
 /// One end of a pair.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct End {
     lever: [f32; 3],
-    /// Between its element and the next, 0 to 1.
+    /// Position between its element and the next, 0 to 1.
     fraction: f32,
     element: u32,
 }
 
 impl End {
-    /// A point at `place` (world) that was seen at a time from `seen_from`.
+    /// A point at `place` (world), measured at a time from the position `seen_from`.
     pub fn new(
         elements: &Knots,
         seconds: f64,
@@ -48,7 +50,7 @@ pub(super) struct ElementPair {
 }
 
 impl ElementPair {
-    /// Derivatives with respect to shift and turn at each end.
+    /// Derivatives with respect to translation and rotation at each end.
     fn jacobians(&self) -> [[f64; 6]; 2] {
         let [x, y, z] = self.normal.map(f64::from);
         let of = |end: &End, sign: f64| {
@@ -116,7 +118,8 @@ impl ElementEquations {
         }
     }
 
-    /// Adds what both ends of the pairs have on and beside the diagonal, row-major 6×6.
+    /// Adds the contributions of both ends of the pairs to the blocks on and below the diagonal, row-major
+    /// 6×6.
     pub fn add_blocks(&self, diagonal: &mut [[f64; 36]], below: &mut [[f64; 36]]) {
         for pair in &self.pairs {
             for (end, jacobian) in pair.ends.iter().zip(pair.jacobians()) {
@@ -139,7 +142,7 @@ impl ElementEquations {
 mod tests {
     use super::*;
 
-    /// Two points on a wall, seen at 0.5 and 2.2 s.
+    /// Two points on a wall, measured at 0.5 and 2.2 s.
     fn pair(elements: &Knots, moved: &[f64]) -> (ElementPair, f64) {
         let normal = Vector3::new(0.6, 0.0, 0.8);
         let places = [Vector3::new(4.0, 1.0, 2.0), Vector3::new(4.1, 1.2, 1.9)];
@@ -173,7 +176,7 @@ mod tests {
             x[k] = 0.0;
             assert!((numeric - gradient[k]).abs() < 1e-5, "{k}: {numeric} {}", gradient[k]);
         }
-        // H x is how the gradient changes.
+        // H x is the change of the gradient.
         let step: Vec<f64> = (0..24).map(|k| 0.01 * f64::from(k % 7)).collect();
         let (mut product, mut later) = (vec![0.0; 24], vec![0.0; 24]);
         equations.multiply(&step, &mut product);

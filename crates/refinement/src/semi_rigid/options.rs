@@ -3,7 +3,7 @@
 use crate::RefineError;
 use crate::continuous::OdometryNoise;
 
-/// Shortest element, seconds: poses are kept no finer than this.
+/// Shortest element, seconds: the spacing at which poses are kept.
 const SHORTEST_ELEMENT: f64 = 0.005;
 
 /// Parameters as in the paper.
@@ -11,23 +11,23 @@ const SHORTEST_ELEMENT: f64 = 0.005;
 pub struct SemiRigidOptions {
     /// Seconds of one element of the trajectory (a profile, a packet, or whole sweeps for the coarse mode).
     pub element: f64,
-    /// A section is made every so many elements.
+    /// Number of elements from one section to the next.
     pub interval: usize,
-    /// It holds the points of so many elements on each side of its middle.
+    /// Number of elements on each side of the middle of a section whose points it holds.
     pub half_width: usize,
-    /// Edge of the voxels of which one point each is kept, metres.
+    /// Edge of the voxels of which one point is kept, metres.
     pub voxel: f64,
-    /// Most iterations of the registration of the sections.
+    /// Maximum number of iterations of the registration of the sections.
     pub rigid_iterations: usize,
-    /// Sections with more pairs than this are linked.
+    /// Number of pairs above which two sections are linked.
     pub min_pairs: usize,
-    /// Farthest points of a pair, metres.
+    /// Maximum distance of the points of a pair, metres.
     pub max_distance: f64,
-    /// Only points recorded at least so many elements apart are paired.
+    /// Minimum number of elements between the times of paired points.
     pub time_window: usize,
-    /// How often sections are made and registered, and elements solved for.
+    /// Number of outer iterations: sections are made and registered, and elements solved for.
     pub outer_iterations: usize,
-    /// How wrong the motion of the input may be.
+    /// Noise of the motion of the input.
     pub odometry: OdometryNoise,
 }
 
@@ -49,8 +49,8 @@ impl Default for SemiRigidOptions {
 }
 
 impl SemiRigidOptions {
-    /// The coarse mode: the smallest element is two sweeps of `sweep_seconds`. Sections and the time window last as long as
-    /// before.
+    /// The coarse mode: the smallest element is two sweeps of `sweep_seconds`. Sections and the time window
+    /// keep their durations.
     pub fn coarse(self, sweep_seconds: f64) -> Self {
         let element = 2.0 * sweep_seconds;
         let elements = |count: usize| (count as f64 * self.element / element).ceil().max(1.0) as usize;
@@ -59,10 +59,10 @@ impl SemiRigidOptions {
         Self { element, interval, half_width, time_window: elements(self.time_window), ..self }
     }
 
-    /// Whether they make sense.
+    /// Checks the options.
     ///
     /// # Errors
-    /// The first one that does not.
+    /// The first invalid option.
     pub(super) fn check(&self) -> Result<(), RefineError> {
         let sensible =
             [self.element, self.voxel, self.max_distance, self.odometry.translation, self.odometry.rotation]

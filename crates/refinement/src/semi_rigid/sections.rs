@@ -1,4 +1,4 @@
-//! Sections of a trajectory, and which of their points belong together.
+//! Makes sections of a trajectory, and pairs their points.
 
 use portolan_geometry::{Rigid3, Vector3, nalgebra as na};
 use portolan_registration::{Link, ScanCloud, links_by_overlap};
@@ -8,25 +8,26 @@ use super::SemiRigidOptions;
 use crate::continuous::Session;
 use portolan_spatial::reduce_indices;
 
-/// Neighbours of a point that tell its normal, and how far they may be in edges of a voxel.
+/// Number of neighbours that determine the normal of a point.
 const NORMAL_NEIGHBOURS: usize = 10;
+/// Maximum distance of these neighbours, in edges of a voxel.
 const NORMAL_REACH: f64 = 5.0;
-/// Points whose neighbourhood is less planar are not paired.
+/// Minimum planarity of the neighbourhood of a paired point.
 const LEAST_PLANARITY: f32 = 0.3;
-/// Least cosine between the normals of a pair: both sides of a wall do not belong together.
+/// Minimum cosine between the normals of a pair: both sides of a wall are different surfaces.
 const LEAST_COSINE: f64 = 0.9;
 
 /// Points around one element of the trajectory, joined.
 pub(super) struct Section {
-    /// When, seconds.
+    /// Time of the middle, seconds.
     pub middle: f64,
     /// In the frame of the trajectory at the middle.
     pub cloud: ScanCloud,
-    /// The same points as they were measured: when, and where in the tracking frame.
+    /// The same raw points: time, and position in the tracking frame.
     pub measured: Vec<(f64, [f32; 3])>,
 }
 
-/// Points of two sections that belong together, by their numbers.
+/// Indices of two corresponding points of two sections.
 pub(super) type PointPair = [u32; 2];
 
 /// A pair in the world: both points, and the normal of the surface.
@@ -43,7 +44,7 @@ pub(super) struct Sections {
 }
 
 impl Sections {
-    /// Joins the points around every so manieth element with the current trajectory, one in each voxel.
+    /// Joins the points around every `interval`-th element with the current trajectory, one in each voxel.
     pub fn of(session: &Session, options: &SemiRigidOptions) -> Self {
         let interval = options.interval as f64 * options.element;
         let count = (session.trajectory.duration() / interval).floor() as usize + 1;
@@ -55,12 +56,12 @@ impl Sections {
         all
     }
 
-    /// Where the sections are now, as rigid bodies.
+    /// Current poses of the sections as rigid bodies.
     pub fn poses(&self, session: &Session) -> Vec<Rigid3> {
         self.sections.iter().map(|s| session.trajectory.pose(s.middle)).collect()
     }
 
-    /// At most so many points of the later section of a link, spread over it.
+    /// At most `count` points of the later section of a link, spread over it.
     pub fn queries(&self, link: Link, count: usize) -> Vec<u32> {
         let all = self.sections[link.to].measured.len();
         let stride = all.div_ceil(count.max(1)).max(1);
@@ -69,8 +70,8 @@ impl Sections {
         (first..all).step_by(stride).map(|i| i as u32).collect()
     }
 
-    /// For points of the later section of a link the nearest point of the earlier one that was recorded long enough before or
-    /// after, if both lie on the same side of a surface.
+    /// For points of the later section of a link, the nearest point of the earlier one that was recorded long
+    /// enough before or after, if both are on the same side of a surface.
     pub fn pairs(
         &self,
         link: Link,
@@ -82,7 +83,7 @@ impl Sections {
         let a_from_b = poses[link.from].inverse() * poses[link.to];
         let apart = options.time_window as f64 * options.element;
         let reach = 2.0 * options.half_width as f64 * options.element;
-        // Sections far apart in time have no points that are near in time.
+        // Sections far apart in time have no points that are close in time.
         let is_free = (to.middle - from.middle).abs() > apart + reach;
         let max_distance = options.max_distance as f32;
         let facing = |section: &Section, i: u32| {

@@ -1,4 +1,4 @@
-//! Pairs of a link, summed up for every parametrisation.
+//! Sums up the pairs of a link for every parametrisation.
 
 use nalgebra::{Matrix3, SMatrix, SVector};
 use portolan_geometry::{Rigid3, Vector3, nalgebra as na};
@@ -8,29 +8,29 @@ use super::GlobalOptions;
 use crate::{Link, LinkStatistics, ScanCloud};
 use portolan_spatial::PairMoments;
 
-/// Points whose neighbourhood is less planar are not used as planes.
+/// Minimum planarity of the neighbourhood of a point that is used as a plane.
 const LEAST_PLANARITY: f32 = 0.3;
-/// Points worked on by one thread at a time; part of the definition of the sums.
+/// Number of points processed by one thread at a time; part of the definition of the sums.
 const CHUNK: usize = 4096;
-/// Least cosine between the normals of a pair.
+/// Minimum cosine between the normals of a pair.
 const LEAST_COSINE: f64 = 0.9;
 
 /// Sums over the pairs (p of the earlier, q of the later scan; world) of a link.
 #[derive(Clone, Debug)]
 pub(crate) struct LinkSums {
     pub statistics: LinkStatistics,
-    /// p as model, q as data.
+    /// Moments of the pairs, with p as model and q as data.
     pub pairs: PairMoments,
     /// Σ p pᵀ.
     pub model_model: Matrix3<f64>,
-    /// Normal equations of shift, scale and rotation about the midpoints (section 2.4).
+    /// Normal equations of translation, scale and rotation about the midpoints (section 2.4).
     pub matrix7: SMatrix<f64, 7, 7>,
     pub vector7: SVector<f64, 7>,
 }
 
 impl LinkSums {
-    /// For each of (at most so many) points of the later scan the nearest point of the earlier one. Parts are summed
-    /// up on all threads and added in their order.
+    /// Pairs each point of the later scan (at most `max_queries` of them) with the nearest point of the
+    /// earlier one. Parts are summed up on all threads and added in their order.
     pub fn of(scans: &[ScanCloud], poses: &[Rigid3], link: Link, options: &GlobalOptions) -> Self {
         let count = scans[link.to].points().len();
         let stride = count.div_ceil(options.max_queries.max(1)).max(1);

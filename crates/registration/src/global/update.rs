@@ -1,4 +1,4 @@
-//! How the published parametrisations move poses.
+//! Updates poses in the published parametrisations.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, SVector, Vector6};
 use portolan_geometry::{Quaternion, Rigid3, Vector3, nalgebra as na, quaternion_from_angle_axis};
@@ -11,7 +11,7 @@ use portolan_spatial::helical_motion;
 /// Cosine of the middle angle below which Euler angles are singular.
 const SINGULAR: f64 = 1e-3;
 
-/// `exp(ξ) T` to first order in the shift, exact in the turn (order shift, turn; world).
+/// `exp(ξ) T` to first order in the translation, exact in the rotation (order translation, rotation; world).
 pub(super) fn move_by_twist(pose: &Rigid3, twist: &Vector6<f64>) -> Rigid3 {
     let turn = quaternion_from_angle_axis(&Vector3::new(twist[3], twist[4], twist[5]));
     let shift = na::Translation3::new(twist[0], twist[1], twist[2]);
@@ -20,8 +20,8 @@ pub(super) fn move_by_twist(pose: &Rigid3, twist: &Vector6<f64>) -> Rigid3 {
     moved
 }
 
-/// Takes the error X = H ΔX (section 2.3, `R = Rx Ry Rz`) from position and Euler angles; where H is singular, from
-/// the pose itself.
+/// Subtracts the error X = H ΔX (section 2.3, `R = Rx Ry Rz`) from position and Euler angles; where H is
+/// singular, from the pose itself.
 pub(super) fn move_by_euler(pose: &Rigid3, error: &Vector6<f64>) -> Rigid3 {
     let r = pose.rotation.to_rotation_matrix();
     let r = r.matrix();
@@ -44,7 +44,7 @@ pub(super) fn move_by_euler(pose: &Rigid3, error: &Vector6<f64>) -> Rigid3 {
     Rigid3::from_parts(na::Translation3::from(t), rotation)
 }
 
-/// One step with quaternions (section 2.4): seven unknowns for each scan, of which the scale is thrown away.
+/// One step with quaternions (section 2.4): seven unknowns for each scan, of which the scale is discarded.
 pub(super) fn quaternion_step(
     poses: &mut [Rigid3],
     links: &[Link],

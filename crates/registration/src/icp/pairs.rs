@@ -1,4 +1,4 @@
-//! Which points belong together.
+//! Finds corresponding points.
 
 use portolan_geometry::{Rigid3, Vector3, nalgebra as na};
 use rayon::prelude::*;
@@ -7,11 +7,12 @@ use super::{IcpError, IcpOptions};
 use crate::ScanCloud;
 use crate::model::{Model, ModelPoint};
 
-/// Points worked on by one thread at a time; part of the definition of the sums.
+/// Number of points processed by one thread at a time; part of the definition of the sums.
 pub(super) const CHUNK: usize = 1024;
-/// A partner found before is taken again only if it is nearer by this fraction: single precision is not exact.
+/// Factor for the distance to other points in the test whether a previous partner is kept: single precision
+/// is not exact.
 const SURE: f32 = 0.999;
-/// Points that tell how far two scans are apart.
+/// Number of points from which the distance of two scans is determined.
 const SAMPLE: usize = 2000;
 
 /// A pair of points.
@@ -22,18 +23,19 @@ pub(super) struct Match {
     pub distance: f32,
 }
 
-/// What was found for a point when it was last searched for.
+/// Result of the last search for a point.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
-    /// Where the point was, metres, frame of the model.
+    /// Position of the point then, metres, frame of the model.
     place: [f32; 3],
     partner: ModelPoint,
-    /// All other points of the model were at least so far from there, metres.
+    /// Lower bound of the distance of all other points of the model from there, metres.
     others: f32,
 }
 
-/// Finds pairs again and again while a scan moves. A point that has moved by less than what its partner is nearer
-/// than all others keeps the partner without a search (triangle inequality), so that the last iterations cost little.
+/// Finds pairs repeatedly while a scan moves. A point keeps its partner without a search if it has moved by
+/// less than the partner is nearer than all others (triangle inequality), so that the last iterations cost
+/// little.
 pub(super) struct Pairing<'a, M> {
     pub model: &'a M,
     pub data: &'a ScanCloud,
@@ -46,19 +48,19 @@ impl<'a, M: Model> Pairing<'a, M> {
         Self { model, data, options, seen: vec![None; data.points().len()] }
     }
 
-    /// Every so manieth point first, all that are asked for at last.
+    /// Strides of the points that are used: a larger one first, finally that of the options.
     pub fn strides(&self) -> Vec<usize> {
         let last = self.options.every.max(1);
         let points = self.data.points().len() / last;
         match self.options.first_points {
             0 => vec![last],
             first if points < 2 * first => vec![last],
-            // A prime, so that not all chosen points come from the same ring of a scanner.
+            // A prime, so that the chosen points do not all come from the same ring of a scanner.
             first => vec![last * next_prime(points / first), last],
         }
     }
 
-    /// Pairs of every so manieth point at a pose of the data scan.
+    /// Pairs of every `stride`-th point at a pose of the data scan.
     pub fn find(&mut self, pose: &Rigid3, stride: usize) -> Vec<Match> {
         let back = pose.inverse();
         let (model, data, options) = (self.model, self.data, self.options);
@@ -94,7 +96,7 @@ impl<'a, M: Model> Pairing<'a, M> {
         matches
     }
 
-    /// Says what is wrong when there are too few pairs.
+    /// The error if there are too few pairs.
     pub fn too_few(&self, pose: &Rigid3, found: usize, stride: usize) -> IcpError {
         let points = self.data.points();
         let step = points.len().div_ceil(SAMPLE).max(1);
@@ -114,13 +116,14 @@ impl<'a, M: Model> Pairing<'a, M> {
     }
 }
 
-/// The least prime that is not below a number.
+/// The smallest prime that is not below a number.
 fn next_prime(number: usize) -> usize {
     let is_prime = |n: &usize| (2..).take_while(|d| d * d <= *n).all(|d| !n.is_multiple_of(d));
     (number.max(2)..).find(is_prime).unwrap_or(number)
 }
 
-/// The nearest point of the model and its distance; what was seen before spares the search where it can.
+/// The nearest point of the model and its distance; the result of the last search replaces a new one where
+/// possible.
 fn partner<M: Model>(
     model: &M,
     query: [f32; 3],

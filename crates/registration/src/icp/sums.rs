@@ -10,7 +10,7 @@ use crate::linearized::TwistEquations;
 use crate::model::Model;
 use portolan_spatial::PairMoments;
 
-/// Variance along the normal against that along the surface, in generalised ICP (Segal et al. 2009).
+/// Ratio of the variance along the normal to that along the surface, in generalised ICP (Segal et al. 2009).
 const ACROSS: f64 = 1e-3;
 
 /// Sums for the closed forms.
@@ -37,7 +37,7 @@ pub(super) fn point_moments<M: Model>(
     sum
 }
 
-/// Normal equations of the methods with planes, and of points for their covariance.
+/// Normal equations of the methods with planes, and of point-to-point matching for its covariance.
 pub(super) fn equations<M: Model>(
     pairing: &Pairing<M>,
     pose: &Rigid3,
@@ -82,7 +82,8 @@ pub(super) fn equations<M: Model>(
     sum
 }
 
-/// Covariance of a point on a surface with this normal, in units of that along the surface; a ball without one.
+/// Covariance of a point on a surface with this normal, in units of the variance along the surface; isotropic
+/// without a normal.
 fn shape(normal: Option<Vector3>) -> Matrix3<f64> {
     match normal {
         Some(n) => Matrix3::identity() - n * n.transpose() * (1.0 - ACROSS),

@@ -2,7 +2,7 @@ use super::*;
 use crate::IcpMethod;
 use portolan_geometry::{Vector3, angular_distance, nalgebra as na};
 
-/// Scans on a round through a hall with pillars, each seeing what lies within 6 m.
+/// Scans on a loop through a hall with pillars, each with the surfaces within 6 m.
 fn hall(count: usize) -> (Vec<ScanCloud>, Vec<Rigid3>) {
     let mut state = 17_u32;
     let mut random = || {
@@ -83,7 +83,7 @@ fn scans_are_registered_one_after_the_other() {
 fn loops_are_closed_where_the_way_comes_back() {
     let (scans, truth) = hall(27);
     let mut poses = drifted(&truth);
-    // Matching is switched off in effect: only the loop tells anything.
+    // Matching is switched off in effect: only the loop closure corrects the poses.
     let icp = IcpOptions { max_distance: 1e-4, ..IcpOptions::default() };
     let loops = LoopOptions { distance: 3.0, least_scans: 15, max_distance: 2.0, max_iterations: 100 };
     let options = SequenceOptions { icp, loops: Some(loops), ..SequenceOptions::default() };

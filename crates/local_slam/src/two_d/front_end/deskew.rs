@@ -1,8 +1,9 @@
-//! De-skewing of scans whose motion nothing measured, or odometry that fails.
+//! De-skews scans whose motion was not measured, or was measured by odometry that fails.
 //!
-//! The prediction of constant velocity is off by what the robot accelerated since the scan before, and a scan that is de-skewed by it is
-//! bent by that. Where the scan fits tells how far it is off at the end: the scan is de-skewed once more by the constant acceleration
-//! that explains it, before it is matched for good. After so long a gap that nothing is left of a velocity it is taken as it is.
+//! The constant-velocity prediction is off by the acceleration since the previous scan, and distorts a
+//! scan that is de-skewed by it. Matching the scan gives the error at its end. The scan is then de-skewed
+//! once more with the constant acceleration that explains this error, before the final match. After a gap
+//! so long that the velocity is no longer known the scan is taken as it is.
 
 use portolan_geometry::{Quaternion, Rigid2, Rigid3, Time, embed_3d, project_2d, yaw};
 use portolan_sensor::{PointCloud, SynchronizedRanges};
@@ -14,8 +15,8 @@ use super::FrontEnd;
 use crate::filtered;
 
 impl FrontEnd {
-    /// The scan de-skewed by the motion that it shows itself, where that moves its points and nothing measured the motion, or what
-    /// odometry measured cannot be.
+    /// De-skews the scan by the motion that matching finds for it, where that moves its points and the
+    /// motion was not measured, or where the motion measured by odometry is impossible.
     pub(super) fn deskewed(
         &mut self,
         ranges: &SynchronizedRanges,
@@ -69,18 +70,20 @@ impl FrontEnd {
     }
 }
 
-/// A fraction of a motion at constant velocity.
+/// Fraction of a motion at constant velocity.
 fn part_of(motion: &Rigid2, share: f64) -> Rigid2 {
     Rigid2 { translation: motion.translation * share, angle: motion.angle * share }
 }
 
-/// How much of the error of its end a prediction has on the way, at this fraction of an interval as long as the one before, whose mean
-/// velocity it continues, under constant acceleration.
+/// Fraction of its final error that a prediction has at this fraction of the interval, under constant
+/// acceleration. The prediction continues the mean velocity of the previous interval, which is equally
+/// long.
 fn error_share(fraction: f64) -> f64 {
     0.5 * fraction * (1.0 + fraction)
 }
 
-/// How far a motion moves the points of a scan, metres (root mean square of what rotation does, plus translation).
+/// Displacement of the points of a scan by a motion, metres: translation plus root mean square of the
+/// displacement by rotation.
 fn displacement(motion: &Rigid2, points: &PointCloud) -> f64 {
     let squares = points.points.iter().map(|p| f64::from(p.x * p.x + p.y * p.y));
     let radius = (squares.sum::<f64>() / points.points.len().max(1) as f64).sqrt();

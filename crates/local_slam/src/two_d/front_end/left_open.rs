@@ -1,4 +1,4 @@
-//! What scans leave to the prediction, joined to intervals, and guesses of the way.
+//! Records the directions that scans do not constrain as degenerate intervals, and guesses of the motion.
 
 use std::f64::consts::PI;
 
@@ -11,7 +11,7 @@ use super::super::tracking::{Found, LeftOpen};
 use super::FrontEnd;
 use super::one_scan::Expected;
 
-/// Scans are at least so many seconds apart.
+/// Minimum time between scans, seconds.
 const LEAST_INTERVAL: f64 = 1e-3;
 
 fn embedded(in_2d: Vector2) -> Vector3 {
@@ -19,7 +19,7 @@ fn embedded(in_2d: Vector2) -> Vector3 {
 }
 
 impl FrontEnd {
-    /// Joins what scans leave to the prediction to intervals.
+    /// Adds the degenerate directions of a scan to the degenerate intervals.
     pub(super) fn note_left_open(&mut self, time: Time, expected: &Expected, found: &Found) {
         let Some(motion) = &expected.motion else { return };
         let guessed = self.note_guess(time, motion, found);
@@ -31,7 +31,7 @@ impl FrontEnd {
             Measured::Nothing => (Substitute::Velocity, Substitute::Velocity),
         };
         let sigmas = self.tracker.prior(expected.prediction, *motion).sigmas;
-        // After a long time an acceleration would explain more than a robot can have gone.
+        // After a long time the acceleration would explain more motion than a robot is capable of.
         let (metres, radians) = (FASTEST.linear * seconds, (FASTEST.angular * seconds).min(PI));
         let shift = guessed.unwrap_or(sigmas.translation).min(metres);
         let turned = sigmas.rotation.min(radians);
@@ -53,14 +53,15 @@ impl FrontEnd {
         }
     }
 
-    /// What the last step adds to how far the way may be off, metres, if it is a guess.
+    /// Standard deviation that the last step adds to the distance travelled, metres, if it is a guess.
     fn note_guess(&mut self, time: Time, motion: &Motion, found: &Found) -> Option<f64> {
         let seconds = motion.seconds.max(LEAST_INTERVAL);
         let velocity = Velocity {
             speed: motion.to(&found.pose).translation.norm() / seconds,
             sigma: self.tracker.sigmas(&Rigid2::identity()).translation / seconds,
         };
-        // What seems to stop where nothing tells the way may as well go on; what rested before does so still.
+        // A stop that is seen where the motion is unobservable may be none; a platform that rested before
+        // still does.
         let still_rests = velocity.is_rest() && self.guessed_way.rested();
         if still_rests || motion.is_measured() || found.left_open == LeftOpen::Nothing {
             self.guessed_way.add_known(time, &found.pose, velocity);

@@ -1,4 +1,4 @@
-//! One whole scan: predicted, matched, believed or not, inserted.
+//! Processes one whole scan: prediction, matching, acceptance or rejection, insertion.
 
 use std::sync::Arc;
 
@@ -18,11 +18,11 @@ use super::super::tracking::{Found, LeftOpen};
 use super::FrontEnd;
 use crate::{InsertedNode, Lost, MatchingResult, NodeData, Space2d, filtered};
 
-/// A scan and where it is expected.
+/// A scan and its predicted pose.
 pub(super) struct Expected<'a> {
     /// In the gravity-aligned tracking frame.
     scan: &'a RangeData,
-    /// What is matched of its returns.
+    /// The returns that are matched, filtered.
     cloud: PointCloud,
     /// In the local map.
     pub prediction: Rigid2,
@@ -31,19 +31,19 @@ pub(super) struct Expected<'a> {
 }
 
 impl FrontEnd {
-    /// One whole scan in the gravity-aligned tracking frame.
+    /// Processes one whole scan in the gravity-aligned tracking frame.
     pub(super) fn add_accumulated(
         &mut self,
         time: Time,
         gathered: &GatheredScan,
         gravity: Quaternion,
     ) -> Option<MatchingResult<Space2d>> {
-        // 1. Leave out what moves along with the scanner.
+        // 1. Leave out returns of objects that move along with the scanner.
         let (marked, without) = self.without_co_moving(time, gathered, &gravity);
         let scan = without.as_ref().unwrap_or(&gathered.range_data);
         // 2. Predict.
         let expected = self.expected(time, scan, &gravity)?;
-        // 3. Leave out what hides the place.
+        // 3. Leave out returns that occlude the mapped surroundings.
         let (view, clear) = self.view(time, &expected);
         if view == View::Nothing {
             return self.carried_by_odometry(time, &expected, gravity);
@@ -57,7 +57,7 @@ impl FrontEnd {
         let found = self.find(time, &expected);
         self.note_for_role(&expected, &found);
         self.note_left_open(time, &expected, &found);
-        // 5. Believe that, or begin a new piece of map.
+        // 5. Accept the match, or begin a new piece of map.
         let (pose, lost) = self.believed(time, &expected, &found, &gravity)?;
         if let (None, PoseBelief::Sure, Some(marked)) = (&lost, self.belief, marked) {
             self.co_moving.learn(time, pose, marked);
@@ -74,7 +74,7 @@ impl FrontEnd {
         } else {
             found.agreement.iter().for_each(|agreement| self.tracker.note_agreement(agreement));
             (self.last_sure, self.reckoned) = (pose, DeadReckoning::from(project_2d(&local_from_tracking)));
-            // On trial all motions draw as much.
+            // On trial every motion hypothesis inserts the same number of scans.
             let is_drawn = self.role.is_trial() || !self.motion_filter.is_similar(time, &local_from_tracking);
             is_drawn.then(|| {
                 let scans = [scan, &range_data_in_local];
@@ -86,7 +86,7 @@ impl FrontEnd {
         Some(MatchingResult { time, local_from_tracking, range_data_in_local, measured, inserted, lost })
     }
 
-    /// What moves along with the scanner, and the scan without it, if anything does.
+    /// Marks the returns that move along with the scanner. Gives the scan without them, if there are any.
     fn without_co_moving(
         &mut self,
         time: Time,
@@ -103,7 +103,7 @@ impl FrontEnd {
         (marked, without)
     }
 
-    /// Where a scan is expected; none before the first sensor that tells it.
+    /// The scan with its predicted pose; none before the first sensor that allows a prediction.
     fn expected<'a>(
         &mut self,
         time: Time,
@@ -127,14 +127,16 @@ impl FrontEnd {
         Some(Expected { scan, cloud, prediction: pose_2d(predicted), motion })
     }
 
-    /// What a scan sees of the place, and the scan without what hides part of it. What is hidden is counted.
+    /// How much of the mapped surroundings a scan sees, and the scan without occluding returns if they
+    /// hide a part. Occlusion is counted as an issue.
     fn view(&mut self, time: Time, expected: &Expected) -> (View, Option<RangeData>) {
         let Expected { scan, cloud, prediction, motion } = expected;
         if cloud.is_empty() {
             self.count(without_return(scan), time);
             return (View::Nothing, None);
         }
-        // On trial the motion is a hypothesis that the scan may refute, and in doubt the pose is one.
+        // On trial the motion is a hypothesis that the scan may refute, and so is a pose that is not yet
+        // accepted.
         let is_believed = !self.role.is_trial() && self.belief == PoseBelief::Sure;
         let is_judged = self.tracker.is_adaptive() && is_believed;
         let (true, Some(motion), Some(submap)) = (is_judged, motion, self.active_submaps.matching_submap())
@@ -151,7 +153,7 @@ impl FrontEnd {
         (view, clear.map(|returns| RangeData { origin: *origin, returns, misses: misses.clone() }))
     }
 
-    /// The pose of a scan without a single return, where odometry tells it.
+    /// The pose of a scan without returns, from odometry; none where odometry does not measure it.
     pub(super) fn carried_blind(
         &mut self,
         time: Time,
@@ -162,8 +164,8 @@ impl FrontEnd {
         self.carried_by_odometry(time, &expected, gravity)
     }
 
-    /// The pose of a scan that sees nothing of the place, where odometry tells it. It is not inserted, and the next scan is
-    /// looked for from the last one that saw something.
+    /// The pose of a scan that is occluded, from odometry; none where odometry does not measure it. The
+    /// scan is not inserted, and the next scan is searched from the last one that was not occluded.
     fn carried_by_odometry(
         &self,
         time: Time,
@@ -179,8 +181,9 @@ impl FrontEnd {
             .then(|| MatchingResult::not_inserted(time, local_from_tracking, range_data_in_local))
     }
 
-    /// What is matched of the returns of a scan. Those in one cell of the map say the same, and one of them counts: else
-    /// someone close by, whom a third of the beams hit, outweighs all that stands still.
+    /// The returns of a scan that are matched. Returns in one cell of the map carry the same information,
+    /// so only one of them counts. Otherwise a person close by, hit by a third of the beams, would
+    /// outweigh all static surroundings.
     fn to_be_matched(&self, returns: &PointCloud) -> PointCloud {
         let options = &self.options.adaptive_voxel_filter;
         if !self.extras.adaptive_search {
@@ -222,7 +225,8 @@ impl FrontEnd {
         }
     }
 
-    /// Where the scan fits when time has passed with nothing measured: the old velocity tells nothing then.
+    /// The pose where the scan fits after a time without measurements, when the previous velocity is no
+    /// longer valid.
     fn found_after_gap(&mut self, time: Time, motion: Motion, cloud: &PointCloud) -> Option<Rigid2> {
         if self.extras.wide_search_after_gap <= 0.0 || motion.seconds < self.extras.wide_search_after_gap {
             return None;
@@ -244,7 +248,8 @@ impl FrontEnd {
         self.role.note(&self.tracker, (expected.prediction, found), motion, scan);
     }
 
-    /// The pose that is believed in the local map, and the end of the piece of map if it is another one; none if it is no pose.
+    /// The accepted pose in the local map, and the end of the piece of map if a new one begins; none if
+    /// the pose is invalid.
     fn believed(
         &mut self,
         time: Time,
@@ -312,7 +317,7 @@ impl FrontEnd {
     }
 }
 
-/// What a scan is of which nothing can be matched.
+/// Issue to report for a scan of which nothing can be matched.
 fn without_return(scan: &RangeData) -> IssueKind {
     if scan.returns.is_empty() { IssueKind::ScanWithoutReturn } else { IssueKind::ScanWithoutReturnInRange }
 }

@@ -1,4 +1,4 @@
-//! Pieces of map: where one ends and the next begins, and how the scanner moves then.
+//! Pieces of map: ends one, begins the next, and sets the velocity of the scanner there.
 
 use portolan_geometry::{Duration, Quaternion, Rigid2, Rigid3, Time, embed_3d, yaw};
 use portolan_motion::PoseExtrapolator;
@@ -9,12 +9,12 @@ use super::super::start::Velocity;
 use super::{FrontEnd, no_submaps};
 use crate::{Lost, OdometryBridge, Space2d, motion_filter};
 
-/// A velocity is given to predictions as the motion of so many seconds.
+/// Time over which a velocity is passed to the extrapolator as a motion, seconds.
 const SHORTLY: f64 = 0.1;
 
 impl FrontEnd {
-    /// Ends the piece of map that nothing ties to what comes: the scanner is believed to stand at this pose of the tracking
-    /// frame, and new submaps are drawn from there.
+    /// Ends the current piece of map, which no measurement connects to the next scans. The scanner is
+    /// assumed to be at this pose of the tracking frame, and new submaps begin there.
     fn begin_anew(&mut self, since: Time, time: Time, local_from_tracking: Rigid3) -> Lost<Space2d> {
         let remaining = self.active_submaps.finish();
         self.active_submaps = no_submaps(&self.options, &self.extras);
@@ -29,8 +29,8 @@ impl FrontEnd {
         Lost { since, remaining, ended_from_begun: Rigid3::identity(), bridge: None }
     }
 
-    /// Ends the piece of map that scans do not fit any more: new submaps are drawn from where odometry says that the scanner is,
-    /// or, where it says nothing, from where it was last seen.
+    /// Ends the piece of map that scans no longer fit. New submaps begin at the pose of odometry, or,
+    /// where odometry gives none, at the last accepted pose.
     pub(super) fn begin_where_reckoned(
         &mut self,
         since: Time,
@@ -46,8 +46,8 @@ impl FrontEnd {
         (pose, Some(Lost { bridge: reckoned.map(|(_, bridge)| bridge), ..lost }))
     }
 
-    /// Ends the piece of map that odometry alone ties to what comes: new submaps are drawn from where it says that the
-    /// scanner is.
+    /// Ends the piece of map that only odometry connects to the next scans. New submaps begin at the pose
+    /// of odometry.
     pub(super) fn begin_after_gap(
         &mut self,
         time: Time,
@@ -58,7 +58,8 @@ impl FrontEnd {
         Lost { bridge: Some(bridge), ..self.begin_anew(since, time, local_from_tracking) }
     }
 
-    /// Since when scans have fitted nothing where they were looked for, if the last ones do not and it is a guess.
+    /// Time since which scans have fitted nowhere in the search window, if the last ones do not fit and
+    /// the pose is a guess.
     pub fn lost_since(&self) -> Option<Time> {
         match self.belief {
             PoseBelief::Doubtful { since, is_elsewhere: true, .. } => Some(since),
@@ -66,18 +67,20 @@ impl FrontEnd {
         }
     }
 
-    /// Whether, since this was asked last, a piece of map was begun that nothing measured ties to the one before.
+    /// Whether a piece of map that no measurement connects to the one before was begun since the last
+    /// call.
     pub fn take_begun_anew(&mut self) -> bool {
         std::mem::take(&mut self.has_begun_anew)
     }
 
-    /// The same where odometry says otherwise, and fails.
+    /// Sets the velocity where odometry contradicts it because odometry fails.
     pub fn set_velocity_in_spite_of_odometry(&mut self, velocity: Velocity) {
         self.tracker.odometry_contradicts(&velocity.motion(SHORTLY), SHORTLY);
         self.set_velocity(velocity);
     }
 
-    /// Says how the scanner moves when it begins, seen from where it begins, or, where it has, from the last pose.
+    /// Sets the velocity of the scanner: at the start in the frame of the start, later in that of the last
+    /// pose.
     pub fn set_velocity(&mut self, velocity: Velocity) {
         self.start_velocity = velocity;
         if let Some(extrapolator) = &mut self.extrapolator
@@ -88,7 +91,7 @@ impl FrontEnd {
     }
 }
 
-/// Predictions go on from a pose with this velocity, seen from there.
+/// Restarts the predictions at a pose with this velocity, in the frame of that pose.
 pub(super) fn begin_anew(
     extrapolator: &mut PoseExtrapolator,
     time: Time,

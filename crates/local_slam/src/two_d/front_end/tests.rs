@@ -17,7 +17,7 @@ fn who_is_lost_is_believed_to_stand_where_he_was_last_seen() {
     front_end.last_sure = far;
     let (pose, lost) = front_end.begin_where_reckoned(at(4.0), at(6.0), &Quaternion::identity());
     assert!(pose == far && lost.is_some() && front_end.take_begun_anew());
-    // As the scan is that fitted nothing.
+    // At the pose of the scan that fitted nowhere.
     front_end.start_extrapolator(at(6.0)).add_pose(at(6.0), embed_3d(&far));
     for speed in [0.0, 5.0] {
         let velocity = Velocity { linear: Vector2::new(speed, 0.0), angular: 0.0 };

@@ -1,4 +1,4 @@
-//! Where a scan may have been taken, and which of these places is believed.
+//! Hypotheses of the pose of a scan, and the decision between them.
 
 use portolan_geometry::Rigid2;
 use portolan_grids::scan_agreement;
@@ -14,8 +14,8 @@ use super::super::unknown_motion::UnknownMotion;
 use super::{Tracker, is_elsewhere};
 
 impl Tracker {
-    /// What was found near the prediction, or something likelier: the prediction itself, or, where a good match is expected
-    /// elsewhere, what is found as far as the scanner can have moved.
+    /// The match near the prediction, or a likelier pose: the prediction itself, or, where a better match
+    /// is expected elsewhere, the match within the range that the scanner can have moved.
     pub(super) fn judged(
         &self,
         near: &Hypothesis,
@@ -40,7 +40,7 @@ impl Tracker {
         if wide.is_none() && !is_doubted {
             return (found, Judgement::Near);
         }
-        // A prediction that nothing measured is no witness.
+        // A prediction without measurement is not independent evidence.
         let predicted = motion.is_measured().then_some(near.around);
         match (self.most_likely(&prior, [predicted, Some(found.pose), wide.map(|w| w.pose)], scan), wide) {
             (Some(0), _) => (ScanMatch2d { pose: near.around, ..found }, Judgement::Predicted),
@@ -49,8 +49,8 @@ impl Tracker {
         }
     }
 
-    /// The likeliest match after a time of which nothing is known: near the last pose, near where the velocity led, or far around
-    /// either.
+    /// The likeliest match after a time without measurements: near the last pose, near the
+    /// constant-velocity prediction, or in a wide window around either.
     fn judged_unknown(
         &self,
         stopped: &Hypothesis,
@@ -77,7 +77,7 @@ impl Tracker {
         best
     }
 
-    /// The best match far around what is believed of the motion, or around where else it may be.
+    /// The best match in a wide window around the prediction, or around its alternative.
     fn search_wide(
         &self,
         scan: (&Scan, &PointCloud),
@@ -91,7 +91,7 @@ impl Tracker {
         }
     }
 
-    /// Which pose is the most likely one, the first of equal ones; none where the grid does not tell.
+    /// Index of the likeliest pose, the first of equal ones; none if the grid is a distance field.
     fn most_likely(&self, prior: &MotionPrior, poses: [Option<Rigid2>; 3], scan: &Scan) -> Option<usize> {
         let mut best: Option<(usize, f64)> = None;
         for (i, pose) in poses.into_iter().enumerate() {
@@ -105,8 +105,9 @@ impl Tracker {
         best.map(|(i, _)| i)
     }
 
-    /// The best match around what may have happened: it went on as before, or, where nothing was measured for some time,
-    /// it stopped; where odometry measured the motion that, or, where it fails, it went on as before.
+    /// The best match over the hypotheses of the motion. Where odometry measured it: odometry works, it
+    /// lagged and has caught up, or it fails and the velocity is constant. Elsewhere: the velocity is
+    /// constant, or, after a long time without measurements, the scanner stopped.
     pub(super) fn search_hypotheses(
         &mut self,
         [prediction, went_on]: [Rigid2; 2],
@@ -147,7 +148,7 @@ impl Tracker {
         if self.odometry_failure.fails(log_odds + fails - works) { other } else { measured }
     }
 
-    /// What odometry says, or what it says if it has caught up, and with which prior.
+    /// The likelier one of the pose by odometry and that by odometry that has caught up, with its prior.
     fn likelier(
         &self,
         predicted: Hypothesis,
@@ -166,7 +167,7 @@ impl Tracker {
         }
     }
 
-    /// Logarithm of how likely it is that a scan was taken where it was found, up to a constant; none where the grid does not tell.
+    /// Log-posterior of a match, up to a constant; none if the grid is a distance field.
     fn likely(&self, prior: &MotionPrior, hypothesis: &Hypothesis, scan: &Scan) -> Option<f64> {
         let pose = hypothesis.found.pose;
         let agreement = scan_agreement(&scan.submap.grid, &pose, scan.cloud)?;

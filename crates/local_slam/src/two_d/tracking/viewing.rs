@@ -1,4 +1,4 @@
-//! What a scan sees of the place where it is expected.
+//! Determines how much of the mapped surroundings a scan sees at its predicted pose.
 
 use portolan_geometry::{Point3f, Rigid2};
 use portolan_grids::{ends_in_the_open, is_at_solid, scan_agreement};
@@ -11,17 +11,17 @@ use super::super::prediction_error::PredictionSigmas;
 use super::super::scan::Scan;
 use super::{Tracker, WITHIN_SIGMAS};
 
-/// What stands nearer before a wall than this, metres, does not hide it: walls are rough, and ranges are noisy.
+/// Minimum distance of an occluding object from a wall, metres: walls are rough, and ranges are noisy.
 const BEFORE_WALLS: f64 = 0.3;
 
 impl Tracker {
-    /// What the scan sees of the place where it is expected, and those of its returns that do not hide it if others do. Is asked
-    /// of each scan once.
+    /// How much of the mapped surroundings the scan sees at its predicted pose, and its returns without
+    /// the occluding ones if it is occluded in part. To be called once for each scan.
     pub fn view(&mut self, told: Rigid2, motion: Motion, scan: &Scan) -> (View, Option<PointCloud>) {
         let prediction = self.predicted(told, &motion, None);
         let sigmas = self.prediction_error.sigmas(&motion.to(&prediction));
         let agreement = scan_agreement(&scan.submap.grid, &prediction, scan.cloud);
-        // A velocity alone does not tell well enough what the scan should see.
+        // A constant-velocity prediction is too uncertain for what the scan should see.
         let is_there =
             |a: &_| motion.is_measured() && is_expected(&sigmas) && !(refutes_place(a) && sees_through(a));
         let Some(agreement) = agreement.filter(is_there) else {
@@ -29,7 +29,7 @@ impl Tracker {
             return (View::Clear, None);
         };
         let mut occluded = share_occluded(scan, &prediction, &sigmas);
-        // It may as well be the prediction that is off. A cover fits walls, but no scanner stands in one.
+        // The prediction may be off instead. A cover may fit walls, but no scanner is inside a wall.
         if occluded >= MANY_OCCLUDED {
             let found = self.look(prediction, motion, *scan);
             self.forget_look();
@@ -47,13 +47,13 @@ impl Tracker {
     }
 }
 
-/// Whether the prediction tells where the scan was taken, as far as scans are looked for.
+/// Whether the prediction is certain to within the maximum search window.
 fn is_expected(sigmas: &PredictionSigmas) -> bool {
     WITHIN_SIGMAS * sigmas.translation <= WIDEST.linear && WITHIN_SIGMAS * sigmas.rotation <= WIDEST.angular
 }
 
-/// Whether the beam to a point ends in the open, and so many metres before anything solid, or as many as a pose with these
-/// standard deviations can be off there.
+/// Whether the beam to a point ends in free space, at least this distance, metres, before anything solid,
+/// and farther than the error there of a pose with these standard deviations.
 fn is_occluded(
     scan: &Scan,
     pose: &Rigid2,

@@ -1,6 +1,6 @@
 use super::*;
 
-/// Boxes that all promise more than is found; each is split into two, for ever.
+/// Boxes whose bounds all exceed any score; each is split into two, for ever.
 struct Endless {
     lookups: usize,
 }
@@ -20,7 +20,7 @@ impl Branching for Endless {
     }
 }
 
-/// Numbers below 2¹⁰ score what `score` says; a box promises its best.
+/// Numbers below 2¹⁰ with the scores `score`; the bound of a box is its best score.
 struct Line<F>(F, usize);
 
 impl<F: Fn(u32) -> f32> Line<F> {
@@ -60,7 +60,7 @@ fn everything_nearly_as_good_is_found() {
     assert_eq!(all, [(0.9, 700), (0.8, 20), (0.8, 300)]);
 }
 
-/// Takes so many, none within 10 of another.
+/// Takes this number of placements, none within 10 of another.
 struct Spaced(usize, Vec<(f32, u32)>);
 
 impl Taker<u32> for Spaced {

@@ -1,4 +1,4 @@
-//! Which of several equally good placements the plain branch and bound would have found.
+//! Selects among equally good placements the one that plain branch and bound would find.
 //!
 //! It descends first into the box with the larger bound, among equals into the one made first, and keeps
 //! the first best placement it meets. So of two placements the one comes first whose boxes come first

@@ -1,4 +1,4 @@
-//! The largest byte in every cube of cells, for cubes of 1, 2, 3, 4, 6, 8, 12, … cells.
+//! Pyramid of the largest byte in every cube of cells, for cubes of 1, 2, 3, 4, 6, 8, 12, … cells.
 
 use portolan_grids::HybridGrid;
 use portolan_grids::value::{CODE_COUNT, MIN_PROBABILITY, PROBABILITY_CODE};
@@ -11,14 +11,15 @@ use crate::correlative::max_pyramid::MaxPyramid;
 const NODE_BITS: u32 = 3;
 const NODE_CELL_BITS: u32 = NODE_BITS + 2;
 const NODE_TILES: usize = 1 << (3 * NODE_BITS);
-/// Cells farther out than this along any axis are not searched, so that windows around them exist.
+/// Largest index along any axis of cells that are searched, so that windows around them exist.
 const SEARCHED_REACH: i32 = 7900;
-/// The same if the known cells are so far apart that an index of everything would take more than this many
-/// entries.
+/// Maximum number of entries of an index of everything; above it the known cells are scattered, and the
+/// smaller reach below applies.
 const MAX_ROOTS: usize = 1 << 22;
+/// The same as [`SEARCHED_REACH`] if the known cells are scattered.
 const SEARCHED_REACH_IF_SCATTERED: i32 = 2400;
-/// Blocks of 4×4×4 cells with known ones that a grid may have: surfaces of
-/// 400 m by 400 m in cells of 10 cm. Pyramids of so many take up to 2 GB.
+/// Maximum number of blocks of 4×4×4 cells with known ones in a grid: surfaces of 400 m by 400 m in cells of
+/// 10 cm. Pyramids of so many take up to 2 GB.
 const MAX_TILES: usize = 1 << 20;
 
 /// For widths w, powers of two and one and a half times that, `max over the cube of w cells at (x, y, z)`.
@@ -97,7 +98,7 @@ impl MaxPyramid3d {
         MaxPyramid::level_for(width)
     }
 
-    /// How many widths there are.
+    /// Number of widths.
     pub fn num_levels(&self) -> usize {
         self.levels.len()
     }
@@ -113,7 +114,7 @@ impl MaxPyramid3d {
     }
 }
 
-/// Where one coordinate is: the parts that it adds to the positions in roots, node and tile.
+/// Position of one coordinate: the parts that it adds to the positions in roots, node and tile.
 #[derive(Clone, Copy)]
 struct Part {
     root: u32,

@@ -1,4 +1,4 @@
-//! A scan at all yaws of a search, as cells, and groups of neighbouring yaws.
+//! The cells of a scan at all yaws of a search, and groups of neighbouring yaws.
 
 use std::ops::Range;
 
@@ -7,16 +7,16 @@ use portolan_grids::VoxelLattice;
 
 use super::pyramid::MaxPyramid3d;
 
-/// Cells are clamped to this. With shifts up to [`MAX_SHIFT`] they stay outside of any grid.
+/// Indices of cells are clamped to this. With shifts up to [`MAX_SHIFT`] they stay outside of any grid.
 const FAR: i32 = 16_000;
-/// Shifts are searched up to this many cells to either side.
+/// Maximum number of cells to either side that shifts are searched.
 pub(super) const MAX_SHIFT: i32 = 7800;
 
 /// Points of a group that need cubes of the same width.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Segment {
     pub points: Range<usize>,
-    /// Which cubes; none if there are no cubes so wide.
+    /// Level of the cubes; none if there are no cubes so wide.
     pub level: Option<usize>,
 }
 
@@ -25,7 +25,7 @@ pub(super) struct Segment {
 #[derive(Clone, Debug)]
 pub(super) struct Group {
     pub cells: Vec<[i16; 3]>,
-    /// What cubes the points need for boxes of 2^exponent shifts.
+    /// Cubes that the points need for boxes of 2^exponent shifts.
     pub segments: Vec<Segment>,
 }
 

@@ -1,11 +1,11 @@
-//! Branch and bound over yaw and shifts in 3D together.
+//! Branch and bound over yaw and shift together, in 3D.
 
 use super::pyramid::MaxPyramid3d;
 use super::scans::Scans;
 use crate::correlative::best_first::{Best, Branching, Node};
 use crate::correlative::byte_score::ByteScore;
 
-/// One placement of a scan: which yaw, and by how many cells it is shifted.
+/// One placement of a scan: its yaw, and its shift in cells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Placement3d {
     pub scan: u32,
@@ -27,7 +27,7 @@ pub(super) struct Search3d<'a, F> {
 }
 
 impl<F: FnMut(Placement3d) -> bool> Search3d<'_, F> {
-    /// Hands on the promising ones of the eight boxes at `first` and its neighbours along each axis, as far
+    /// Passes on the promising ones of the eight boxes at `first` and its neighbours along each axis, as far
     /// as they start before `end`.
     fn for_eight_boxes(
         &mut self,

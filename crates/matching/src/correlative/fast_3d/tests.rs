@@ -113,7 +113,7 @@ fn perturbed_poses_are_found() {
         let far_node = NodeToFind { low_resolution_cloud: &far, ..node };
         let local = |node| matcher.match_local(&identity, &identity, node, &submap, 0.1);
         let full = |node| matcher.match_full(&level, &level, node, &submap, 0.1);
-        // The whole submap takes long at so low a score.
+        // The search of the whole submap takes long at so low a score.
         let mut all = vec![local(&node)];
         if round < 4 {
             all.push(full(&node));

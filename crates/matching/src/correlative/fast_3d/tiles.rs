@@ -1,4 +1,4 @@
-//! Bytes of cells in 3D in tiles of 4×4×4, and how windows over them are widened.
+//! Stores bytes of cells in 3D in tiles of 4×4×4, and widens windows over them.
 
 use portolan_spatial::DenseIndex;
 
@@ -19,8 +19,9 @@ pub(super) struct Tiles {
 fn key_of(place: [i32; 3]) -> Option<u64> {
     let possible = place.iter().all(|i| (-TILE_REACH..TILE_REACH).contains(i));
     let [x, y, z] = place.map(|i| u64::from((i + TILE_REACH) as u32));
-    // One to one, so that keys do not come in the order of their hashes: grids hand on their cells in the order of
-    // the same hash table, and filling a growing one in that order takes time with the square of their number.
+    // One to one, so that keys do not come in the order of their hashes: grids pass on their cells in the
+    // order of the same hash table, and filling a growing one in that order takes time with the square of
+    // their number.
     let scattered = (z << 24 | y << 12 | x).wrapping_mul(0x5851_f42d_4c95_7f2d) & ((1 << 36) - 1);
     possible.then_some(scattered)
 }
@@ -69,12 +70,12 @@ impl Tiles {
         self.places.iter().copied().zip(&self.tiles)
     }
 
-    /// How many tiles there are.
+    /// Number of tiles.
     pub fn len(&self) -> usize {
         self.tiles.len()
     }
 
-    /// Every cell becomes the largest of the eight that lie 0 or `shift` cells from it along each axis.
+    /// Every cell becomes the largest of the eight that are 0 or `shift` cells from it along each axis.
     pub fn widened(&self, shift: u32) -> Self {
         let once = self.widened_along(0, shift);
         once.widened_along(1, shift).widened_along(2, shift)
@@ -118,8 +119,8 @@ impl Tiles {
     }
 }
 
-/// A tile moved by `shift` (0 to 3) cells towards the start of an axis: what stays in the tile, and what
-/// goes over into the one before.
+/// A tile moved by `shift` (0 to 3) cells towards the start of an axis: the part that stays in the tile, and
+/// the part that moves into the one before.
 fn split_along(tile: &Tile, axis: usize, shift: usize) -> [Tile; 2] {
     let (mut near, mut far) = ([0; 64], [0; 64]);
     if shift == 0 {

@@ -63,7 +63,7 @@ fn a_search_around_a_place_finds_what_is_there_alone() {
     assert!(index.find_within(&rooms[0].2, &WANTED, &far_off, 1.5).places.is_empty());
 }
 
-/// What a search through all placements finds.
+/// Result of a search through all placements.
 fn best_of_all(index: &PlaceIndex2d, cloud: &PointCloud) -> f32 {
     let wanted = WantedPlaces { most_points: 60, ..WANTED };
     let stride = cloud.points.len().div_ceil(wanted.most_points);

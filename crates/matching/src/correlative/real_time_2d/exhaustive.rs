@@ -1,10 +1,9 @@
-//! Scoring every placement, 32 shifts at a time.
+//! Scores every placement, 32 shifts at a time.
 
 use super::tile::{LANES, ROWS, Sums};
 use super::*;
 
-/// The first placement with the largest score. `mean` says for 4 by 8 shifts of some cells how well they
-/// fit.
+/// The first placement with the largest score. `mean` gives the mean values for 4 by 8 shifts of some cells.
 pub(super) fn best(
     scans: &mut RotatedScans,
     window: &SearchWindow,
@@ -13,7 +12,7 @@ pub(super) fn best(
 ) -> Option<(f32, Placement)> {
     let mut best = Best::above(f32::NEG_INFINITY);
     let n = window.num_linear;
-    // Around the initial angle first: with a good score at hand most others need no second look.
+    // Around the initial angle first: once there is a good score, most others are rejected at once.
     let mut order: Vec<i32> = (0..window.num_scans()).collect();
     order.sort_by_key(|k| (k - window.num_angular).abs());
     for scan in order {

@@ -1,4 +1,4 @@
-//! Mean probability of the cells that a scan meets.
+//! Scores scans by the mean probability of the cells at their points.
 
 use portolan_grids::ProbabilityGrid;
 use portolan_grids::value::{MIN_PROBABILITY, UNKNOWN_CELL, UPDATE_MARKER, ValueCode};
@@ -6,10 +6,10 @@ use portolan_grids::value::{MIN_PROBABILITY, UNKNOWN_CELL, UPDATE_MARKER, ValueC
 use super::tile::Tile;
 use super::*;
 
-/// A byte stands for this many codes of a cell (a little more than 32767/255).
+/// Number of codes of a cell per byte (a little more than 32767/255).
 const CODES_PER_BYTE: f32 = 128.5;
 
-/// About so many shifts are scored in the time of one look-up in the pyramid.
+/// Number of shifts scored in about the time of one look-up in the pyramid.
 const SHIFTS_A_LOOKUP: u32 = 4;
 
 /// The first placement with the largest score.
@@ -66,7 +66,7 @@ pub(super) fn tile(grid: &ProbabilityGrid, part: CellBox) -> Tile {
     })
 }
 
-/// For every cell how far above the smallest probability it is at most, in steps of 128.5 codes.
+/// Upper bound for every cell of its probability above the smallest one, in steps of 128.5 codes.
 fn upper_bounds(grid: &ProbabilityGrid, part: CellBox) -> Vec<u8> {
     let width = part.num_x_cells() as usize;
     let mut bytes = vec![0; width * part.num_y_cells() as usize];
@@ -93,7 +93,7 @@ impl Objective for MeanProbability {
         let step = CODES_PER_BYTE * (self.code.upper() - self.code.lower()) / 32766.0;
         let lowest = (1.0 - self.code.upper()).max(MIN_PROBABILITY);
         let mean = lowest + step * (byte_sum as f32 / self.num_points);
-        // What a sum of single precision numbers may be off.
+        // Rounding error of a sum of single precision numbers.
         let rounding = 1e-7 * self.num_points + 1e-5;
         ((f64::from(mean) + f64::from(rounding)) * self.penalty.largest_factor(region)) as f32
     }

@@ -1,4 +1,4 @@
-//! How near a scan lies to the surface of a distance field.
+//! Scores scans by their distance to the surface of a distance field.
 
 use portolan_grids::Tsdf2d;
 

@@ -11,8 +11,8 @@ pub(super) const ROWS: usize = 4;
 /// Sums for shifts of 0…3 cells along y by 0…7 along x.
 pub(super) type Sums = [[f32; LANES]; ROWS];
 
-/// One number per cell of a box of cells, with a border as wide as the sums, so that every block of
-/// shifts finds what it needs, wherever it lies.
+/// One number per cell of a box of cells, with a border as wide as the sums, so that every block of shifts
+/// finds its values at any position.
 pub(super) struct Tile {
     width: i32,
     height: i32,

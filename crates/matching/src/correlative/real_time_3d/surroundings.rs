@@ -1,4 +1,4 @@
-//! The part of a grid around each point that any placement of a window can put it in.
+//! Copies the part of a grid around each point that any placement of a window can put it in.
 
 use portolan_geometry::{Point3f, Rigid3f};
 use portolan_grids::{HybridGrid, VoxelIndex, value::PROBABILITY_CODE};
@@ -24,7 +24,7 @@ struct CopiedBox {
     start: usize,
 }
 
-/// What is around one point.
+/// The cells around one point.
 pub(super) struct Around<'a> {
     grid: &'a HybridGrid,
     first: VoxelIndex,
@@ -33,7 +33,7 @@ pub(super) struct Around<'a> {
 }
 
 impl<'a> Surroundings<'a> {
-    /// For `points` at `initial` when they are turned by up to `max_angle` and moved by up to `max_shift`.
+    /// For `points` at `initial`, rotated by up to `max_angle` and moved by up to `max_shift`.
     pub fn new(
         grid: &'a HybridGrid,
         points: &[Point3f],
@@ -74,7 +74,7 @@ impl<'a> Surroundings<'a> {
         self.boxes.push(CopiedBox { first, size, start });
     }
 
-    /// What is around the point with a number.
+    /// The cells around the point with a number.
     pub fn of_point(&self, number: usize) -> Around<'_> {
         let CopiedBox { first, size, start } = self.boxes[number];
         let count = size.iter().map(|n| *n as usize).product::<usize>();

@@ -22,7 +22,7 @@ fn the_golden_scan_is_matched() {
     assert!((found.pose.rotation.quaternion() - golden).norm() < 1e-6, "{found:?}");
 }
 
-/// Seven points seen from one metre beside the place they were drawn from.
+/// Seven points seen from one metre beside the position from which they were inserted.
 #[test]
 fn small_errors_are_undone() {
     let places = [
@@ -60,7 +60,7 @@ fn small_errors_are_undone() {
     ] {
         let initial = Rigid3::from_parts(translation.into(), rotation);
         let found = matcher.match_scan(&initial, &cloud, &grid).unwrap().pose;
-        // Which of the rotations that put every point in its cell is found does not matter.
+        // It does not matter which of the rotations that put every point in its cell is found.
         for p in &cloud.points {
             let p = p.cast::<f64>();
             assert!((found * p - expected * p).norm() < 0.1, "{initial} {found}");

@@ -22,7 +22,7 @@ fn the_golden_scan_is_matched() {
     assert!(found.pose.rotation.angle_to(&Quaternion::new_normalize(golden)) < 2e-3, "{}", found.pose);
 }
 
-/// A problem of every kind of residual, in a place where nothing is at its minimum.
+/// A problem with every kind of residual, at a pose where none is at its minimum.
 fn with_problem<R>(check: impl FnOnce(PoseProblem<'_>, Rigid3) -> R) -> R {
     let (high, low, mut scan) = (drawn_cloud_b(0.1, 2), drawn_cloud_b(0.45, 2), golden_scan_3d());
     let mut bright = IntensityGrid::new(0.45).unwrap();

@@ -1,5 +1,6 @@
-//! The file: eight bytes that say what it is, then records of a length, a checksum and as many bytes. The first one has the
-//! identity of the job, each of the others a question and its answer. A record that is not whole ends it.
+//! Reads and writes the file: eight magic bytes, then records of a length, a checksum and as many bytes. The
+//! first record is the identity of the job, each of the others a question and its answer. An incomplete
+//! record ends the file.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions, TryLockError};
@@ -16,29 +17,29 @@ use portolan_atomic_file::{Disk, require_room_for};
 use super::Identity;
 use crate::job::JobError;
 
-/// What the file begins with.
+/// Magic bytes at the start of the file.
 const MAGIC: &[u8] = b"\x89PMAPJ1\n";
-/// No answer is larger: ten million nodes.
+/// Maximum size of an answer, bytes: ten million nodes.
 const LARGEST: u32 = 1 << 30;
-/// What was found is in the file after so long …
+/// Time after which results are in the file.
 const WRITING: Duration = Duration::from_secs(1);
-/// … and on the disk after so long.
+/// Time after which they are on the disk.
 const SYNCING: Duration = Duration::from_secs(15);
 
-/// What a journal holds.
+/// Content of a journal.
 pub(super) struct Content {
     /// Open and locked.
     file: Disk<File>,
     pub identity: Identity,
     pub known: BTreeMap<u64, Vec<u64>>,
-    /// Bytes up to the end of what is whole.
+    /// Number of complete bytes.
     whole: u64,
-    /// Bytes that are not.
+    /// Number of incomplete bytes after them.
     pub cut_off: u64,
 }
 
 impl Content {
-    /// The file, which ends where it is not whole any more.
+    /// The file, truncated to its complete records.
     pub fn cut(mut self) -> io::Result<Disk<File>> {
         self.file.set_len(self.whole)?;
         self.file.seek(SeekFrom::Start(self.whole))?;
@@ -46,8 +47,8 @@ impl Content {
     }
 }
 
-/// Reads a journal as far as it is whole. Where the disk cannot be read nothing is known of what follows, so that this is an
-/// error, and not the end.
+/// Reads the complete records of a journal. Where the disk cannot be read the rest is unknown, so this is an
+/// error and not the end of the journal.
 pub(super) fn read(path: &Path) -> Result<Content, JobError> {
     let failed = |source| JobError::file(path, source);
     let file =
@@ -77,10 +78,10 @@ pub(super) fn read(path: &Path) -> Result<Content, JobError> {
     Ok(Content { file, identity, known, whole, cut_off: size.saturating_sub(whole) })
 }
 
-/// Bytes of a record beside its content.
+/// Number of bytes of a record beside its content.
 const FRAME: usize = 8;
 
-/// The next record; none if it is not whole.
+/// The next record; none if it is incomplete.
 fn record(reader: &mut impl Read, most: u64) -> io::Result<Option<Vec<u8>>> {
     let mut frame = [0; FRAME];
     if !filled(reader, &mut frame)? {
@@ -98,7 +99,7 @@ fn record(reader: &mut impl Read, most: u64) -> io::Result<Option<Vec<u8>>> {
     Ok(is_whole.then_some(content))
 }
 
-/// Fills these bytes; false where the file ends before.
+/// Fills these bytes; false where the file ends earlier.
 fn filled(reader: &mut impl Read, bytes: &mut [u8]) -> io::Result<bool> {
     match reader.read_exact(bytes) {
         Ok(()) => Ok(true),
@@ -108,7 +109,7 @@ fn filled(reader: &mut impl Read, bytes: &mut [u8]) -> io::Result<bool> {
 }
 
 fn add_record(bytes: &mut Vec<u8>, content: &[u8]) {
-    // What is larger is not kept, and found again.
+    // Larger answers are not kept, and computed again.
     if let Some(length) = u32::try_from(content.len()).ok().filter(|length| *length <= LARGEST) {
         bytes.extend(length.to_le_bytes());
         bytes.extend(crc32fast::hash(content).to_le_bytes());
@@ -121,19 +122,19 @@ fn lock(file: &File) -> io::Result<()> {
         Err(TryLockError::WouldBlock) => {
             Err(io::Error::new(io::ErrorKind::ResourceBusy, "another process is writing it"))
         }
-        // Where files cannot be locked two runs with one folder are the user's concern.
+        // Where files cannot be locked, the user must not start two runs with one folder.
         Ok(()) | Err(TryLockError::Error(_)) => Ok(()),
     }
 }
 
-/// Writes records on a thread of its own, so that a slow disk holds nobody up.
+/// Writes records on a thread of its own, so that a slow disk does not delay mapping.
 pub(super) struct Writer {
     pending: Arc<Pending>,
     thread: Option<JoinHandle<io::Result<()>>>,
 }
 
-/// Records that are not written yet. The thread looks for them now and then: to wake it for each would take longer than
-/// to write it.
+/// Records that are not written yet. The thread polls them: waking it for each record would take longer than
+/// writing it.
 #[derive(Default)]
 struct Pending {
     bytes: Mutex<Vec<u8>>,
@@ -148,15 +149,15 @@ impl Pending {
     }
 }
 
-/// Where records go.
+/// Destination of the records.
 enum Target {
-    /// Not there yet; these bytes come first.
+    /// The file does not exist yet; these bytes come first.
     New(Vec<u8>),
     Open(Disk<File>),
 }
 
 impl Writer {
-    /// Writes a new file, which appears with the first records, as long as so many bytes stay free behind it.
+    /// Writes a new file, which appears with the first records, as long as `reserve` bytes remain free.
     pub fn begin(path: PathBuf, identity: &Identity, reserve: u64) -> Self {
         let mut header = MAGIC.to_vec();
         // A list of texts.
@@ -165,7 +166,7 @@ impl Writer {
         Self::start(path, Target::New(header), reserve)
     }
 
-    /// Goes on with a file.
+    /// Continues a file.
     pub fn go_on(path: PathBuf, file: Disk<File>, reserve: u64) -> Self {
         Self::start(path, Target::Open(file), reserve)
     }
@@ -179,7 +180,8 @@ impl Writer {
         Self { pending, thread: thread.ok() }
     }
 
-    /// Writes everything; the file, if there is one, and why it ends early, if it does.
+    /// Writes everything. Returns the file, if there is one, and the error because of which it ends early, if
+    /// any.
     pub fn close(mut self) -> (Option<PathBuf>, io::Result<()>) {
         let written = self.written();
         (self.pending.file.get().cloned(), written)
@@ -205,8 +207,8 @@ impl Writer {
     }
 }
 
-/// Writes what comes until it is closed, or until no more than the reserve would be free: results come before what only helps
-/// to make them. A job that takes less than a moment leaves no file.
+/// Writes records until it is closed, or until only the reserve would remain free: results have priority over
+/// the journal. A job that takes less than a second leaves no file.
 fn write(path: &Path, mut target: Target, pending: &Pending, reserve: u64) -> io::Result<()> {
     if matches!(target, Target::Open(_)) {
         pending.file.get_or_init(|| path.to_owned());
@@ -240,7 +242,7 @@ fn write(path: &Path, mut target: Target, pending: &Pending, reserve: u64) -> io
     }
 }
 
-/// The file; made if it is not there yet.
+/// The file; created if it does not exist yet.
 fn opened<'a>(path: &Path, target: &'a mut Target) -> io::Result<&'a mut Disk<File>> {
     if let Target::New(header) = target {
         let mut file = create(path)?;
@@ -257,7 +259,7 @@ fn opened<'a>(path: &Path, target: &'a mut Target) -> io::Result<&'a mut Disk<Fi
     }
 }
 
-/// Makes the file, or empties one of an earlier run. Anything else of this name stays.
+/// Creates the file, or empties one of an earlier run. Anything else of this name stays.
 fn create(path: &Path) -> io::Result<Disk<File>> {
     let is_link = std::fs::symlink_metadata(path).is_ok_and(|found| !found.is_file());
     if is_link {

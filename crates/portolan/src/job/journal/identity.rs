@@ -1,4 +1,4 @@
-//! Which job a journal belongs to.
+//! Identifies the job that a journal belongs to.
 
 use std::io::Read;
 use std::path::Path;
@@ -10,12 +10,12 @@ use super::super::MapRequest;
 use crate::job::JobError;
 use crate::pipeline::Preparation;
 
-/// Everything that the results of a job depend on, each with what it is called.
+/// Everything that the results of a job depend on, each part with its name.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Identity(Vec<(String, String)>);
 
 impl Identity {
-    /// Of a job that is prepared.
+    /// Identity of a prepared job.
     ///
     /// # Errors
     /// A known map cannot be read.
@@ -42,12 +42,12 @@ impl Identity {
         ]))
     }
 
-    /// Of parts and their names.
+    /// From parts and their names.
     pub fn from_parts(parts: &[(&str, &str)]) -> Self {
         Self(parts.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect())
     }
 
-    /// The names of the parts that differ; none if nothing does.
+    /// The names of the parts that differ; none if all are equal.
     pub fn difference_from(&self, other: &Self) -> Option<String> {
         let differs = |(name, value): &&(String, String)| {
             other.0.iter().all(|(other_name, other)| other_name != name || other != value)
@@ -61,7 +61,7 @@ fn fingerprint(text: &str) -> String {
     format!("{:016x}", Fingerprint::of(text).value())
 }
 
-/// The version, and which file of that version: another build may compute otherwise.
+/// The version and build of the program: another build may compute differently.
 fn program() -> String {
     let file = std::env::current_exe().and_then(std::fs::metadata);
     let build = file.and_then(|file| Ok((file.len(), file.modified()?))).ok();

@@ -7,7 +7,7 @@ fn identity(options: &str) -> Identity {
     Identity::from_parts(&[("the recording", "walk.bag"), ("the options", options)])
 }
 
-/// A folder with the journal of a run of a moment that gave these answers.
+/// A folder with the journal of a short run that gave these answers.
 fn left(answers: &[f64]) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let journal = Journal::begin(folder.path(), &identity("usual"), 0);
@@ -21,7 +21,7 @@ fn left(answers: &[f64]) -> tempfile::TempDir {
     folder
 }
 
-/// The file that a journal leaves, or why it could not write everything.
+/// The file of a closed journal, or the error because of which it is incomplete.
 fn closed(journal: &Journal) -> std::io::Result<Option<std::path::PathBuf>> {
     let (file, written) = journal.close();
     written.map(|()| file)
@@ -132,7 +132,7 @@ fn journals_damaged_in_any_way_are_cut_off_or_refused() {
         let layout = if random.once_in(2) { Layout::Pages(24) } else { Layout::HeaderThenRows };
         fs::write(&path, damaged(&whole, layout, &mut random)).unwrap();
         let Ok((journal, resumed)) = Journal::resume(folder.path(), &identity("usual"), 0) else { continue };
-        // A record is whole or not there; it may be there twice.
+        // A record is complete or missing; it may occur twice.
         let found = answers(&journal);
         assert!(found.iter().all(|answer| known.contains(answer)), "case {number}: {found:?}");
         assert!(resumed.answers <= known.len() + 1, "case {number}: {resumed:?}");
@@ -151,11 +151,11 @@ fn room_for_the_results_is_left() {
     assert!(error.to_string().contains("are free"), "{error}");
 }
 
-/// What lets a process fail in which way: `begin` or `resume`, a folder, the number of the operation.
+/// Environment variable of the fault: `begin` or `resume`, the kind of fault, the number of the operation, a folder.
 const FAULT: &str = "PORTOLAN_JOURNAL_FAULT";
 
-/// Runs in a process of its own, because the disk is that of the whole process; prints how many operations there were, and
-/// what is said.
+/// Runs in a process of its own, because the faults are those of the whole process. Prints the number of operations
+/// and the message.
 #[test]
 fn a_process_whose_disk_fails() {
     use portolan_atomic_file::faults::{Fault, fail_at, mend};
@@ -190,7 +190,7 @@ fn a_process_whose_disk_fails() {
     std::io::Write::write_all(&mut std::io::stdout(), line.as_bytes()).unwrap();
 }
 
-/// A journal that is begun or resumed in a folder on a disk that fails: how many operations there were, and what was said.
+/// Starts a process that begins or resumes a journal in a folder on a disk that fails.
 fn with_failing_disk(how: &str, fault: &str, at: u64, folder: &std::path::Path) -> std::process::Child {
     std::process::Command::new(std::env::current_exe().unwrap())
         .args(["--exact", "job::journal::tests::a_process_whose_disk_fails"])
@@ -201,7 +201,7 @@ fn with_failing_disk(how: &str, fault: &str, at: u64, folder: &std::path::Path) 
         .unwrap()
 }
 
-/// How many operations there were, and what was said.
+/// The number of operations, and the message.
 fn said(process: std::process::Child) -> (u64, String) {
     let output = String::from_utf8(process.wait_with_output().unwrap().stdout).unwrap();
     let line = output.lines().find_map(|line| line.split_once(&format!("{FAULT} "))).unwrap_or_default().1;
@@ -236,7 +236,7 @@ fn journals_on_a_disk_that_fails_are_resumed_as_far_as_they_are_whole() {
             let folder = prepared();
             (fault, at, with_failing_disk(how, fault, at, folder.path()), folder)
         });
-        // All at once: they wait for the journal to be written.
+        // All in parallel, as each waits for its journal to be written.
         for (fault, at, process, folder) in cases.collect::<Vec<_>>() {
             let (case, (_, said)) = (format!("{how}, {fault} at {at}"), said(process));
             let path = folder.path().join(JOURNAL);
@@ -244,7 +244,7 @@ fn journals_on_a_disk_that_fails_are_resumed_as_far_as_they_are_whole() {
             let is_named = said.contains(JOURNAL) || said.starts_with("lost");
             assert!(said.starts_with("written") || is_named && said.contains("os error"), "{case}: {said}");
             if said.starts_with("refused") {
-                // Nothing is known of it: it stays.
+                // Its content is unknown, so it stays.
                 assert!(fs::read(&path).unwrap() == whole, "{case}: {said}");
             }
             match Journal::resume(folder.path(), &identity("usual"), 0) {

@@ -1,4 +1,4 @@
-//! One run at a time in a folder: results of two would lie there side by side as if they were of one.
+//! Ensures that only one run at a time writes to a folder: otherwise results of two runs would be mixed.
 
 use std::fs::{File, TryLockError};
 use std::io;
@@ -11,7 +11,8 @@ use crate::job::JobError;
 pub(super) struct Claim(Option<File>);
 
 impl Claim {
-    /// Makes it, if the folder is there already. Where folders cannot be locked two runs in one folder are the user's concern.
+    /// Locks the folder, if it exists. Where folders cannot be locked, the user must not start two runs in
+    /// one folder.
     ///
     /// # Errors
     /// Another run has it.

@@ -1,4 +1,4 @@
-//! The file that names what was written.
+//! Reads the file that lists what was written.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -10,10 +10,10 @@ use serde::{Deserialize, Serialize};
 
 /// Its name.
 pub const MANIFEST: &str = "portolan.json";
-/// No such file is larger: a hundred thousand names. Bytes.
+/// Maximum size of the file, bytes: a hundred thousand names.
 const LARGEST: u64 = 16 << 20;
 
-/// What was written to a folder, by name.
+/// Files that were written to a folder, by name.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Manifest {
     about: String,
@@ -32,11 +32,11 @@ impl Default for Manifest {
 pub(super) struct Record {
     /// The verb that wrote it.
     pub by: String,
-    /// What was written; none if the run ended while it was being written.
+    /// Size and checksum; none if the run ended while the file was being written.
     pub content: Option<Content>,
 }
 
-/// By what a file is known again.
+/// Size and checksum by which a file is recognised.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Content {
     bytes: u64,
@@ -44,7 +44,7 @@ pub(super) struct Content {
 }
 
 impl Content {
-    /// Of a file; `NotFound` or `InvalidInput` if there is none.
+    /// Size and checksum of a file; `NotFound` or `InvalidInput` if there is none.
     pub fn of(path: &Path) -> io::Result<Self> {
         let mut file = Disk(File::open(path)?);
         if !file.0.metadata()?.is_file() {
@@ -64,16 +64,16 @@ impl Content {
     }
 }
 
-/// Whether there is no file, rather than one that cannot be read.
+/// Whether there is no file, as opposed to a file that cannot be read.
 pub(super) fn is_no_file(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::InvalidInput)
 }
 
 impl Record {
-    /// Whether the file is what was written.
+    /// Whether the file is unchanged since it was written.
     ///
     /// # Errors
-    /// It cannot be read, so that nobody knows.
+    /// It cannot be read, so that this is unknown.
     pub fn is_of(&self, path: &Path) -> io::Result<bool> {
         let size = path.metadata().map(|data| data.len()).ok();
         // Sizes are compared first: files may be large.
@@ -89,7 +89,7 @@ impl Record {
 }
 
 impl Manifest {
-    /// That of a folder, empty if there is none; none if there is something else in its place.
+    /// The manifest of a folder, empty if there is none; none if there is something else in its place.
     ///
     /// # Errors
     /// It cannot be read.
@@ -110,14 +110,14 @@ impl Manifest {
     /// Whether there is a file of this name that the verb did not write, or that was changed since.
     ///
     /// # Errors
-    /// It cannot be read, so that nobody knows.
+    /// It cannot be read, so that this is unknown.
     pub fn is_foreign(&self, folder: &Path, name: &str, verb: &str) -> io::Result<bool> {
         let path = folder.join(name);
         if std::fs::symlink_metadata(&path).is_err() {
             return Ok(false);
         }
         match self.files.get(name).filter(|record| record.by == verb) {
-            // A run that was killed as it wrote the file left it whole, or what was there before.
+            // A run that was killed while it wrote the file left it complete, or left the file before it.
             Some(record) => Ok(record.content.is_some() && !record.is_of(&path)?),
             None => Ok(true),
         }

@@ -5,7 +5,7 @@ use crate::job::Event;
 
 const NAMES: [&str; 2] = ["map.pbstream", "map.png"];
 
-/// Begins; what is said.
+/// Begins a run; returns it and the remarks.
 fn begin(path: &Path, verb: &'static str, force: bool) -> (Result<OutputFolder, JobError>, Vec<String>) {
     let mut said = Vec::new();
     let begun = OutputFolder::begin(path, verb, &NAMES, force, &mut |event| collect(event, &mut said));
@@ -133,7 +133,7 @@ fn one_run_at_a_time_writes_to_a_folder() {
     assert!(error.contains("another run"), "{error}");
     drop(first);
     drop(begin(folder.path(), "map", false).0.unwrap());
-    // Of a folder that neither of them found there.
+    // A folder that did not exist when both runs began.
     let new = folder.path().join("new");
     let [first, second] = [(), ()].map(|()| begin(&new, "map", false).0.unwrap());
     write(&first, "map.png");

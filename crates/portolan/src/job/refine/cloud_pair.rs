@@ -1,11 +1,11 @@
-//! All points as they lie before and after a refinement.
+//! Gives the positions of all points before and after a refinement.
 
 use portolan_refinement::continuous::{BeforeAndAfter, DenseTrajectory, PoseMatrices, Refined};
 use portolan_refinement::{PointStore, StoredPoint};
 use portolan_spatial::spread_sample;
 use rayon::prelude::*;
 
-/// The points of a recording along the trajectory before and after.
+/// The points of a recording placed by the trajectory before and after refinement.
 pub struct CloudPair<'a> {
     points: &'a [StoredPoint],
     /// Seconds from the start of the trajectory to that of the points.
@@ -19,13 +19,13 @@ pub struct CloudPair<'a> {
 /// One point in both clouds.
 #[derive(Clone, Copy)]
 pub struct PairedPoint {
-    /// Since the start of the trajectory.
+    /// Seconds since the start of the trajectory.
     pub seconds: f64,
-    /// In the world, metres.
+    /// Position in the world before, metres.
     pub before: [f64; 3],
-    /// In the world, metres.
+    /// Position in the world after, metres.
     pub after: [f64; 3],
-    /// How much higher than the tracking frame of that moment it lies after, metres.
+    /// Height above the tracking frame at the time of the point, after, metres.
     pub above_tracking: f64,
 }
 
@@ -57,7 +57,8 @@ impl<'a> CloudPair<'a> {
         Some(PairedPoint { seconds, before: placed.before, after: placed.after, above_tracking })
     }
 
-    /// All covered points of the refined cloud in order of time: seconds since the start of the points, and place.
+    /// All covered points of the refined cloud in order of time: seconds since the start of the points, and
+    /// position.
     pub fn refined(&self) -> impl Iterator<Item = (f64, [f64; 3])> + '_ {
         self.points.iter().filter_map(|point| {
             self.covered(point)?;
@@ -81,7 +82,8 @@ impl<'a> CloudPair<'a> {
         self.points.len().div_ceil(count.max(1)).max(1)
     }
 
-    /// Sums up about `count` points, one part on each thread; in how many parts must not matter.
+    /// Sums over about `count` points, one part on each thread; the result must not depend on the number of
+    /// parts.
     pub fn sum<T: Send>(
         &self,
         count: usize,

@@ -1,4 +1,4 @@
-//! How much better a refinement made the cloud.
+//! Measures how much a refinement improved the cloud.
 
 use portolan_evaluation::cloud::{
     CloudQuality, CloudToJudge, PairedComparison, QualityOptions, WallChange, WallChanges, cloud_quality,
@@ -7,36 +7,37 @@ use serde::Serialize;
 
 use super::cloud_pair::{CloudPair, PairedPoint};
 
-/// Points in which walls are looked for.
+/// Number of points in which walls are searched.
 const WALL_POINTS: usize = 3_000_000;
-/// Edge of their cells, metres.
+/// Edge of the cells of walls, metres.
 const WALL_CELL: f64 = 0.5;
-/// Places that are shown, and how far apart they are at least, metres.
+/// Maximum number of places that are shown.
 const PLACES: usize = 4;
+/// Minimum distance between them, metres.
 const APART: f64 = 5.0;
 
-/// Both clouds, judged.
+/// Quality of both clouds.
 #[derive(Serialize)]
 pub struct Judgement {
-    /// Of the input.
+    /// Quality of the input.
     pub before: CloudQuality,
-    /// Of the result.
+    /// Quality of the result.
     pub after: CloudQuality,
-    /// What changed, place by place.
+    /// Changes, place by place.
     pub changes: Vec<PairedComparison>,
-    /// Where walls changed most.
+    /// Places where walls changed most.
     pub largest_changes: Vec<WallChange>,
 }
 
 impl Judgement {
-    /// Judges samples of both clouds.
+    /// Evaluates samples of both clouds.
     pub(super) fn of(pair: &CloudPair) -> Self {
         let options = QualityOptions::default();
         let sample = pair.sample(options.sharpness.max_points);
         let seconds: Vec<f64> = sample.iter().map(|p| p.seconds).collect();
         let column = |place: fn(&PairedPoint) -> [f64; 3]| sample.iter().map(place).collect::<Vec<_>>();
         let (before, after) = (column(|p| p.before), column(|p| p.after));
-        // Both are counted at the places of the second, so that the same points are compared.
+        // Neighbours of both are counted at the places of the second, so that the same points are compared.
         let quality =
             |points| cloud_quality(&CloudToJudge { points, seconds: &seconds, places: &after }, &options);
         let (quality_before, quality_after) = (quality(&before), quality(&after));

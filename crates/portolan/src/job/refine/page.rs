@@ -1,4 +1,4 @@
-//! The report of a refinement as one page.
+//! Writes the report of a refinement as one page.
 
 use portolan_config::fingerprint_of;
 use portolan_evaluation::cloud::{CloudQuality, WallThickness};
@@ -12,7 +12,7 @@ use super::pictures::Pictures;
 use super::results::RefineResults;
 use crate::job::JobError;
 
-/// Points of a plotted line at most.
+/// Maximum number of points of a plotted line.
 const PLOT_POINTS: usize = 800;
 const COLOURS: [&str; 4] = ["#d62728", "#2ca02c", "#1f77b4", "#20252b"];
 const BEFORE: &str = "#e08214";
@@ -65,7 +65,7 @@ fn input(page: &mut HtmlPage, results: &RefineResults) {
     let plan = &results.read.plan;
     let topics: Vec<&str> = plan.range.iter().map(|r| &*r.source.topic).collect();
     let report = &results.refined.report;
-    // What numbers are made of cannot fail to be written as JSON.
+    // Numbers can always be written as JSON.
     let method = serde_json::to_string(&report.method).unwrap_or_default();
     let mut rows = vec![
         ["Version".to_owned(), format!("Portolan {}", env!("CARGO_PKG_VERSION"))],
@@ -92,7 +92,7 @@ fn input(page: &mut HtmlPage, results: &RefineResults) {
     page.table(&[], &rows);
 }
 
-/// Warnings, what is not determined, and issues.
+/// Warnings, undetermined motion, and issues.
 fn notes(page: &mut HtmlPage, results: &RefineResults) {
     let report = &results.refined.report;
     report.warnings.iter().for_each(|warning| page.warning(warning));
@@ -165,7 +165,7 @@ fn wall_plot(before: &WallThickness, after: &WallThickness) -> String {
     )
 }
 
-/// A vector along time: its parts and its length.
+/// A vector over time: its components and its norm.
 fn vector_lines<'a>(
     trajectory: &DenseTrajectory,
     names: [&'a str; 4],
@@ -198,7 +198,7 @@ fn turn_plot(trajectory: &DenseTrajectory) -> String {
     line_plot(labels, &vector_lines(trajectory, ["x", "y", "z", "angle"], turn))
 }
 
-/// How the optimisation went.
+/// Steps of the optimisation.
 fn steps(page: &mut HtmlPage, results: &RefineResults) {
     let steps = &results.refined.report.steps;
     if steps.is_empty() {

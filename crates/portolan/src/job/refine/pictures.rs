@@ -1,4 +1,5 @@
-//! Pictures of a cloud before and after a refinement: from above, cut level and upright, and where walls changed most.
+//! Draws a cloud before and after a refinement: from above, in level and upright cuts, and where walls
+//! changed most.
 
 use portolan_evaluation::cloud::WallChange;
 use portolan_export::{Mark, PointImage, PointView, encode_grey, marked_picture, scale_mark};
@@ -6,20 +7,25 @@ use portolan_refinement::continuous::DenseTrajectory;
 
 use super::cloud_pair::{CloudPair, PairedPoint};
 
-/// Points drawn at most.
+/// Maximum number of points that are drawn.
 const POINTS: usize = 16_000_000;
-/// Points that tell how far the cloud reaches, and the fraction at each end that is left outside.
+/// Number of points from which the extent of the cloud is determined.
 const EXTENT_POINTS: usize = 200_000;
+/// Fraction of points at each end that is left outside.
 const STRAYS: f64 = 0.003;
-/// Longest edge of large pictures and of details, pixels, and least metres per pixel.
+/// Longest edge of large pictures, pixels.
 const LARGE: usize = 1100;
+/// Edge of details, pixels.
 const DETAIL: usize = 480;
+/// Minimum size of a pixel, metres.
 const FINEST: f64 = 0.005;
-/// Edge of a detail and half of the thickness of a cut, metres.
+/// Edge of a detail, metres.
 const DETAIL_SIZE: f64 = 3.0;
+/// Half of the thickness of the cut of a detail, metres.
 const HALF_CUT: f64 = 0.15;
+/// Half of the thickness of the level and the upright cut, metres.
 const HALF_LEVEL: f64 = 0.25;
-/// Walls whose normal is steeper than this are floors, which are shown from the side.
+/// Vertical component of a unit normal above which a wall counts as a floor, which is shown from the side.
 const FLOOR: f64 = 0.7;
 /// Seconds between the points of the drawn trajectory.
 const LINE_STEP: f64 = 0.25;
@@ -30,10 +36,10 @@ const Z: [f64; 3] = [0.0, 0.0, 1.0];
 
 /// One view, before and after.
 pub struct PicturePair {
-    /// What it shows.
+    /// Its title.
     pub title: String,
     view: PointView,
-    /// Only points about as high as the sensor was when it saw them.
+    /// Whether only points near the height of the sensor at their time are drawn.
     level: bool,
     images: [PointImage; 2],
     marks: [Vec<Mark>; 2],
@@ -67,13 +73,13 @@ impl PicturePair {
 
 /// All pictures of a refinement.
 pub struct Pictures {
-    /// Of the whole.
+    /// Pictures of the whole cloud.
     pub whole: Vec<PicturePair>,
-    /// Of the largest changes, in their order.
+    /// Pictures of the largest changes, in their order.
     pub details: Vec<PicturePair>,
 }
 
-/// Draws everything.
+/// Draws all pictures.
 pub fn pictures(pair: &CloudPair, trajectory: &DenseTrajectory, changes: &[WallChange]) -> Pictures {
     let mut whole = whole_views(pair, trajectory, changes);
     let mut details: Vec<PicturePair> =
@@ -104,7 +110,7 @@ pub fn pictures(pair: &CloudPair, trajectory: &DenseTrajectory, changes: &[WallC
     Pictures { whole, details }
 }
 
-/// From above, at the height of the sensor, and an upright cut through the largest change.
+/// Views from above, at the height of the sensor, and an upright cut through the largest change.
 fn whole_views(pair: &CloudPair, trajectory: &DenseTrajectory, changes: &[WallChange]) -> Vec<PicturePair> {
     let sample = pair.sample(EXTENT_POINTS);
     let Some([low, high]) = extent(&sample) else { return Vec::new() };
@@ -123,7 +129,7 @@ fn whole_views(pair: &CloudPair, trajectory: &DenseTrajectory, changes: &[WallCh
             marks.extend(changes.iter().enumerate().map(|(i, c)| frame(&from_above, i + 1, c)));
         }
     }
-    // Along the trajectory, in the middle or through the largest change.
+    // Upright cut along the trajectory, in the middle or through the largest change.
     let along = main_direction(trajectory);
     let middle = changes.first().map_or(centre, |c| c.place);
     let reach = |k: usize| (high[k] - low[k]).abs();
@@ -138,7 +144,7 @@ fn whole_views(pair: &CloudPair, trajectory: &DenseTrajectory, changes: &[WallCh
     vec![top, level, upright]
 }
 
-/// Where nearly all points of both clouds lie.
+/// Extent of nearly all points of both clouds.
 fn extent(sample: &[PairedPoint]) -> Option<[[f64; 3]; 2]> {
     let (mut lowest, mut highest) = ([0.0; 3], [0.0; 3]);
     for (k, (low, high)) in lowest.iter_mut().zip(&mut highest).enumerate() {
@@ -184,7 +190,7 @@ fn main_direction(trajectory: &DenseTrajectory) -> [f64; 3] {
     [angle.cos(), angle.sin(), 0.0]
 }
 
-/// A change in a larger picture.
+/// Frame of a change in a larger picture.
 fn frame(view: &PointView, number: usize, change: &WallChange) -> Mark {
     let size = DETAIL_SIZE / view.resolution;
     let [x, y] = view.place(change.place);

@@ -1,4 +1,4 @@
-//! The raw points of a recording.
+//! Reads the raw points of a recording.
 
 use portolan_ingest::{IngestOptions, Ingestion, SensorPlan};
 use portolan_issue::Issue;
@@ -12,11 +12,11 @@ use crate::job::JobError;
 pub struct ReadPoints {
     /// In order of time.
     pub store: PointStore,
-    /// What other sensors measured, as far as it was asked for.
+    /// Measurements of other sensors, if requested.
     pub sensors: MotionSensors,
     /// Which topics were used.
     pub plan: SensorPlan,
-    /// What was repaired.
+    /// Repairs and losses.
     pub issues: Vec<Issue>,
 }
 
@@ -38,24 +38,24 @@ pub enum MotionSensor {
     Fixes,
 }
 
-/// How far reading has come.
+/// Progress of reading.
 #[derive(Clone, Copy, Debug)]
 pub enum PointReading<'a> {
-    /// Which topics are read is settled.
+    /// The topics to be read are chosen.
     Planned(&'a SensorPlan),
     /// Measurements were read.
     Progress {
-        /// Bytes or messages so far.
+        /// Bytes or messages read so far.
         position: u64,
-        /// Of so many.
+        /// Total number of bytes or messages.
         total: u64,
-        /// Points so far.
+        /// Points read so far.
         points: usize,
     },
 }
 
-/// Reads all points of the range sensors that are not nearer than `min_range` metres, and what these other sensors
-/// measured.
+/// Reads all points of the range sensors that are not nearer than `min_range` metres, and the measurements of
+/// these other sensors.
 ///
 /// # Errors
 /// A recording without range sensors, or one that cannot be read.

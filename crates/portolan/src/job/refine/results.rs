@@ -1,4 +1,4 @@
-//! What a refinement leaves in its folder.
+//! Writes the results of a refinement.
 
 use std::path::{Path, PathBuf};
 
@@ -18,35 +18,35 @@ use crate::job::error::write_file;
 use crate::job::event::{Event, Remark, remark};
 use crate::job::{JobError, Observer, OutputFolder, REPORT_VERSION, Stale, resident_and_peak_bytes};
 
-/// Poses of the input farther apart than this do not show everything that was found, seconds.
+/// Interval between poses of the input above which these do not show the whole correction, seconds.
 const SPARSE: f64 = 0.05;
 /// Seconds between the poses of the dense trajectory.
 const DENSE: f64 = 0.02;
 
-/// A finished refinement.
+/// Results of a finished refinement.
 pub struct RefineResults<'a> {
     /// The trajectory it began with.
     pub input: &'a [(Time, Rigid3)],
-    /// What was found.
+    /// The refined trajectory and its report.
     pub refined: &'a Refined,
     /// The points, and how they were read.
     pub read: &'a ReadPoints,
-    /// How long everything took.
+    /// Time of the whole refinement, seconds.
     pub seconds: f64,
-    /// Files of the cloud, relative to the folder, their extensions say the format.
+    /// Files of the cloud, relative to the folder; their extensions give the format.
     pub clouds: &'a [String],
     /// Recordings, trajectory and map.
     pub files: &'a [PathBuf],
     /// The command line, for the page; none for no page.
     pub command: Option<&'a str>,
-    /// Whether no cloud and no map are written, because there is nothing better than the input.
+    /// Whether no cloud and no map are written, because the result is not better than the input.
     pub without_results: bool,
     /// The map the trajectory came from, and which of its trajectories.
     pub map: Option<(&'a Path, i32)>,
 }
 
-/// The files that [`write_refinement`] writes, depending on what is asked for; clouds without a name of their own are
-/// called so, too.
+/// The files that [`write_refinement`] writes, depending on the request. Clouds without a name of their own
+/// have these names, too.
 pub const REFINED_FILES: [&str; 11] = [
     "refined.tum",
     "refined_dense.tum",
@@ -75,7 +75,7 @@ pub fn write_refinement(
     let trajectory = &results.refined.trajectory;
     let corrected: Vec<(Time, Rigid3)> =
         results.input.iter().map(|(time, pose)| (*time, trajectory.corrected(*time, pose))).collect();
-    // Where the input was kept it is the input.
+    // Without an improvement this is the input.
     write_tum(&file("refined.tum")?, &corrected)?;
     let duration = trajectory.duration();
     if !results.without_results && duration > SPARSE * (results.input.len() - 1) as f64 {
@@ -93,7 +93,7 @@ pub fn write_refinement(
     }
     let pair = CloudPair::new(&results.read.store, results.refined);
     let start = results.read.store.start().unix_seconds();
-    // Whoever wants to stop has the trajectory, of which the rest can be made again.
+    // After a stop the user has the trajectory, from which the rest can be made again.
     let is_stopped = observe(&Event::Drawing).is_break();
     if is_stopped {
         remark(observe, Remark::StoppedBeforeRefinedCloud);
@@ -114,7 +114,7 @@ pub fn write_refinement(
     Ok(files)
 }
 
-/// All points within the trajectory, in order of time.
+/// Writes all points within the trajectory, in order of time.
 fn write_cloud(pair: &CloudPair, start: f64, path: &Path) -> Result<(), JobError> {
     let failed = |reason: CloudError| JobError::CloudFile { path: path.to_owned(), reason };
     let attributes = Attributes { time: true, ..Attributes::default() };

@@ -1,4 +1,4 @@
-//! What a registration leaves in its folder.
+//! Writes the results of a registration.
 
 use std::path::{Path, PathBuf};
 
@@ -15,21 +15,22 @@ use super::trust::reason_for_distrust;
 use crate::job::error::write_file;
 use crate::job::{JobError, Observer, OutputFolder, REPORT_VERSION, Stale};
 
-/// Longest edge of the pictures, pixels, and least metres per pixel.
+/// Longest edge of the pictures, pixels.
 const EDGE: usize = 1600;
+/// Minimum size of a pixel, metres.
 const FINEST: f64 = 0.005;
 
 /// Names of the pictures.
 const BEFORE: &str = "before.png";
 const AFTER: &str = "after.png";
 
-/// What registration found.
+/// Results of a registration.
 pub struct Registration {
-    /// Of each scan, from its points in memory.
+    /// Pose of each scan, from its points in memory.
     pub poses: Vec<Rigid3>,
-    /// Scan by scan, and loops.
+    /// Results of scan-to-scan matching, and loops.
     pub sequence: SequenceReport,
-    /// Of the global matching.
+    /// Results of the global matching.
     pub global: Option<GlobalReport>,
     /// Poses after each stage.
     pub history: History,
@@ -48,12 +49,12 @@ impl History {
     /// After loops were closed.
     pub const LOOPS: u32 = 4;
 
-    /// What is given.
+    /// With the given poses.
     pub fn starting(poses: &[Rigid3]) -> Self {
         Self(vec![(Self::GIVEN, poses.to_vec())])
     }
 
-    /// After a stage.
+    /// Adds the poses after a stage.
     pub fn add(&mut self, poses: &[Rigid3], kind: u32) {
         self.0.push((kind, poses.to_vec()));
     }
@@ -64,27 +65,27 @@ impl History {
 pub struct Registered {
     /// Its name.
     pub file: String,
-    /// How many are matched.
+    /// Number of points that are matched.
     pub points: usize,
     /// x y z (m), qx qy qz qw; in the frame of the first scan unless first poses say otherwise.
     pub pose: [f64; 7],
     /// Why it could not be matched with the scans before it.
     pub error: Option<String>,
-    /// Of ICP.
+    /// Iterations of ICP.
     pub iterations: usize,
-    /// Whether ICP came to rest.
+    /// Whether ICP converged.
     pub converged: bool,
     /// Pairs of points in the last iteration.
     pub pairs: u64,
     /// Root mean square of their distances, metres.
     pub rms: f64,
-    /// What speaks against the result; it is worth nothing then.
+    /// Reason why the result cannot be trusted; it is then worthless.
     pub doubt: Option<String>,
-    /// Standard deviations of turn (rad) and shift (m) after ICP; none for the first scan.
+    /// Standard deviations of rotation (rad) and translation (m) after ICP; none for the first scan.
     pub deviations: Option<[f64; 6]>,
     /// The covariance they are from, row by row.
     covariance: Option<[[f64; 6]; 6]>,
-    /// Standard deviations of shift (m) and turn (rad) after the global matching.
+    /// Standard deviations of translation (m) and rotation (rad) after the global matching.
     global_deviations: Option<[f64; 6]>,
 }
 
@@ -99,7 +100,7 @@ pub fn describe(scans: &Scans, work: &Registration, icp: &IcpOptions) -> Vec<Reg
             let result = matched.and_then(|m| m.as_ref().ok());
             let deviations = |c: &na::Matrix6<f64>| std::array::from_fn(|k| c[(k, k)].max(0.0).sqrt());
             let doubt = result.and_then(|r| reason_for_distrust(r, scans.clouds[i].points().len(), icp));
-            // What is not good to anything is not good to millimetres.
+            // For an untrusted result the covariance is meaningless.
             let covariance = result.and_then(|r| r.covariance).filter(|_| doubt.is_none());
             Registered {
                 file: scans.names[i].clone(),
@@ -119,7 +120,7 @@ pub fn describe(scans: &Scans, work: &Registration, icp: &IcpOptions) -> Vec<Reg
         .collect()
 }
 
-/// How the global matching went.
+/// Summary of the global matching.
 #[derive(Serialize)]
 struct GlobalSummary {
     iterations: usize,
@@ -130,7 +131,7 @@ struct GlobalSummary {
     shift: f64,
 }
 
-/// Everything for programs.
+/// The report for programs.
 #[derive(Serialize)]
 pub struct RegisterReport<'a> {
     version: u32,
@@ -139,7 +140,7 @@ pub struct RegisterReport<'a> {
     global: Option<GlobalSummary>,
 }
 
-/// Everything for programs.
+/// Makes the report for programs.
 pub fn report<'a>(work: &'a Registration, registered: &'a [Registered]) -> RegisterReport<'a> {
     let global = work.global.as_ref().map(|g| GlobalSummary {
         iterations: g.iterations,
@@ -152,7 +153,7 @@ pub fn report<'a>(work: &'a Registration, registered: &'a [Registered]) -> Regis
     RegisterReport { version: REPORT_VERSION, scans: registered, loops: &work.sequence.loops, global }
 }
 
-/// The files that [`write_registration`] writes for so many scans and a cloud of this format.
+/// The files that [`write_registration`] writes for this number of scans and a cloud of this format.
 pub fn registered_files(scans: usize, extension: &str) -> Vec<String> {
     let fixed = ["poses.tum", BEFORE, AFTER, "report.json"].map(str::to_owned);
     fixed.into_iter().chain([cloud_name(extension)]).chain(scan_files(scans)).collect()
@@ -210,7 +211,7 @@ pub fn write_registration(
     Ok(files)
 }
 
-/// All points of all files, not only those that were kept for matching.
+/// Writes all points of all files, not only those that were kept for matching.
 fn write_cloud(path: &Path, scans: &Scans, poses: &[Rigid3]) -> Result<(), JobError> {
     let attributes: Attributes = match scans.sources.first() {
         Some(source) => source.open()?.attributes(),
@@ -238,7 +239,7 @@ fn write_cloud(path: &Path, scans: &Scans, poses: &[Rigid3]) -> Result<(), JobEr
     Ok(())
 }
 
-/// Seen from above, before and after, in the same greys.
+/// Pictures from above, before and after, in the same greys.
 fn pictures(scans: &Scans, before: &[Rigid3], after: &[Rigid3]) -> Vec<(&'static str, Vec<u8>, PointView)> {
     let place = |pose: &Rigid3, p: &[f32; 3]| -> [f64; 3] {
         (pose * na::Point3::from(p.map(f64::from))).coords.into()

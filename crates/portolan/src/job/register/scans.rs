@@ -1,4 +1,4 @@
-//! Scans that are registered.
+//! Loads the scans that are registered.
 
 use std::path::{Path, PathBuf};
 
@@ -6,9 +6,11 @@ use portolan_geometry::{Quaternion, Rigid3, Vector3};
 use portolan_pointcloud::{CloudError, CloudReader, UosFolder, UosScan};
 use portolan_registration::ScanCloud;
 
-/// Scans wider or narrower than this are hardly in metres, and no two of one job differ by this factor.
+/// Width of a scan above which its unit is probably not metres, metres.
 const WIDEST: f64 = 5000.0;
+/// Width below which its unit is probably not metres, metres.
 const NARROWEST: f64 = 0.02;
+/// Ratio of the widths of two scans above which their units probably differ.
 const UNLIKE: f64 = 50.0;
 
 /// Which points of a scan are used, and in which unit they are.
@@ -31,7 +33,7 @@ impl PointLimits {
     }
 }
 
-/// Where a scan comes from.
+/// Source of a scan.
 #[derive(Clone, Debug)]
 pub enum ScanSource {
     /// A cloud of any format.
@@ -81,7 +83,7 @@ impl ScanSource {
 
 /// All scans in memory.
 pub struct Scans {
-    /// For people.
+    /// Their names for users.
     pub names: Vec<String>,
     /// Their files.
     pub sources: Vec<ScanSource>,
@@ -89,18 +91,19 @@ pub struct Scans {
     pub limits: PointLimits,
     /// The points that are matched.
     pub clouds: Vec<ScanCloud>,
-    /// First poses from files beside the scans, else the origin.
+    /// Initial poses from files beside the scans, otherwise the origin.
     pub guesses: Vec<Rigid3>,
     /// Whether some of the files are damaged.
     pub lost_data: bool,
-    /// Place that the points in memory count from, metres.
+    /// Origin of the points in memory, metres.
     pub from_origin: Rigid3,
-    /// Place of the first scan, which poses in memory count from, metres: poses may be those of a national grid.
+    /// Position of the first scan, which is the origin of poses in memory, metres: poses may be in a national
+    /// grid.
     pub from_first: Rigid3,
 }
 
 impl Scans {
-    /// What sounds like wrong units, in words.
+    /// Suspected errors of units, in words.
     pub fn suspect_units(&self) -> Vec<String> {
         let width = |cloud: &ScanCloud| {
             let [low, high] = cloud.bounds();
@@ -132,12 +135,12 @@ impl Scans {
         lines
     }
 
-    /// Makes poses in memory count from the place of the first of these.
+    /// Makes the position of this first pose the origin of poses in memory.
     pub fn count_from(&mut self, first: &Rigid3) {
         self.from_first = Rigid3::from_parts(first.translation, Quaternion::identity());
     }
 
-    /// A pose of a scan as that of its points in memory.
+    /// Converts the pose of a scan to that of its points in memory.
     pub fn about_origin(&self, pose: &Rigid3) -> Rigid3 {
         self.from_origin.inverse() * (self.from_first.inverse() * *pose) * self.from_origin
     }

@@ -1,16 +1,16 @@
-//! Whether a registration can be trusted: scans that do not overlap come to rest somewhere, too.
+//! Decides whether a registration can be trusted: ICP converges for scans that do not overlap, too.
 
 use portolan_registration::{IcpOptions, IcpResult};
 
-/// Least fraction of the points of a scan that have a partner.
+/// Minimum fraction of the points of a scan that have a partner.
 const LEAST_SHARE: f64 = 0.2;
-/// Of pairs that are each the nearest of the other there are fewer.
+/// Factor for that fraction with reciprocal pairs, each the nearest of the other, of which there are fewer.
 const RECIPROCAL: f64 = 0.5;
-/// Pairs of surfaces that have nothing to do with each other lie this fraction of the greatest distance apart, or more.
-/// Evenly spread distances would give 0.58; matching draws them together as far as it can.
+/// Root mean square distance of the pairs from which they count as unrelated, as a fraction of the maximum
+/// pair distance. Evenly spread distances would give 0.58; matching reduces them as far as it can.
 const CHANCE: f64 = 0.36;
 
-/// What speaks against a result; nothing if it can be trusted. The scan has so many points.
+/// Reason not to trust a result; none if it can be trusted. `points`: number of points of the scan.
 pub fn reason_for_distrust(result: &IcpResult, points: usize, icp: &IcpOptions) -> Option<String> {
     let asked = points as f64 / icp.every.max(1) as f64 * icp.keep;
     let least = if icp.reciprocal { RECIPROCAL * LEAST_SHARE } else { LEAST_SHARE };
