@@ -15,7 +15,7 @@ impl<S: Space> MappedRecording<S> {
         let recorded = |time: Time| self.recorded_times.get(&time).copied().unwrap_or(time);
         let without_pose = self.scans_without_pose();
         let lines = self.losses.iter().zip(without_pose).take(NAMED).map(|(loss, without_pose)| {
-            let outcome = if self.is_tied_by_odometry(loss) {
+            let outcome = if self.is_tied_by_odometry_alone(loss) {
                 "the trajectory after it lies where odometry says, and no scan confirms it"
             } else if loss.piece.is_none() {
                 "the trajectory ends there"

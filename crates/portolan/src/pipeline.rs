@@ -104,14 +104,14 @@ impl<S: Space> MappedRecording<S> {
     }
 
     /// Whether odometry alone determines the pose of a piece of map.
-    pub fn is_tied_by_odometry(&self, loss: &Loss) -> bool {
-        loss.piece.is_some_and(|piece| self.map.graph.is_tied_by_odometry(piece))
+    pub fn is_tied_by_odometry_alone(&self, loss: &Loss) -> bool {
+        loss.piece.is_some_and(|piece| self.map.graph.is_tied_by_odometry_alone(piece))
     }
 
     /// Whether odometry alone determines the pose of a piece of map, although scans contradicted the map
     /// before it.
     pub fn is_unconfirmed(&self, loss: &Loss) -> bool {
-        !loss.is_gap && self.is_tied_by_odometry(loss)
+        !loss.is_gap && self.is_tied_by_odometry_alone(loss)
     }
 
     /// Whether data were lost, of the recording, of known maps or while mapping; a piece of map is not

@@ -45,8 +45,7 @@ impl<S: Space> PoseGraph<S> {
         if found.is_confirmed() {
             return;
         }
-        let before = (self.state.clone(), self.problem.clone());
-        let waiting = (self.waiting.clone(), self.tied_by_odometry.clone());
+        let before = self.snapshot();
         self.forget_ties_of(&part);
         self.move_part(id, by);
         self.tie_over_gaps();
@@ -56,8 +55,7 @@ impl<S: Space> PoseGraph<S> {
         let is_better = contradicted_share(&there) < contradicted_share(&found);
         tracing::debug!("trajectory {id} where it was found: {found:?}, where odometry says: {there:?}");
         if !is_better || self.stop.is_asked() {
-            (self.state, self.problem) = before;
-            (self.waiting, self.tied_by_odometry) = waiting;
+            self.restore(before);
         }
     }
 }

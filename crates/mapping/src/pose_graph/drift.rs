@@ -63,7 +63,7 @@ impl<S: Space> PoseGraph<S> {
             let Some(gap) = entry.after_gap else { continue };
             let last = of_trajectory(&self.state.nodes, gap.before).next_back();
             let first = of_trajectory(&self.state.nodes, *id).next();
-            let is_believed = !gap.bridge.is_contradicted || self.is_tied_by_odometry(*id);
+            let is_believed = !gap.bridge.is_contradicted || self.has_odometry_tie(*id);
             if let Some(((last, _), (first, _))) = last.zip(first).filter(|_| is_believed)
                 && let Some((a, b)) = index_of(&last).zip(index_of(&first))
             {
@@ -87,7 +87,7 @@ impl<S: Space> PoseGraph<S> {
         let is_first =
             || of_trajectory(&self.state.nodes, id).next().is_some_and(|(n, _)| n == constraint.node_id);
         let is_before = gap.is_some_and(|gap| gap.before == constraint.submap_id.trajectory_id);
-        self.is_tied_by_odometry(id) && is_before && is_first()
+        self.has_odometry_tie(id) && is_before && is_first()
     }
 
     /// The node of a submap that is nearest to the node of a loop closure.

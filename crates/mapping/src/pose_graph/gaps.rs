@@ -17,8 +17,17 @@ use super::travel::TravelGraph;
 use crate::{Constraint, ConstraintTag, Space, TrajectoryId, of_trajectory};
 
 impl<S: Space> PoseGraph<S> {
-    /// Whether odometry alone constrains the part of the map that continues after a gap.
-    pub fn is_tied_by_odometry(&self, id: TrajectoryId) -> bool {
+    /// Whether odometry alone constrains the part of the map that continues after a gap: no match connects
+    /// it with the part before.
+    pub fn is_tied_by_odometry_alone(&self, id: TrajectoryId) -> bool {
+        let gap = self.state.trajectories.get(&id).and_then(|entry| entry.after_gap);
+        gap.is_some_and(|gap| {
+            self.has_odometry_tie(id)
+                && !self.connectivity_by(|tie| tie.score.is_some(), |_| true).are_connected(id, gap.before)
+        })
+    }
+
+    pub(super) fn has_odometry_tie(&self, id: TrajectoryId) -> bool {
         self.tied_by_odometry.contains(&id)
     }
 
@@ -267,6 +276,7 @@ mod tests {
         assert!(graph.state().connectivity.are_connected(before, after));
         graph.run_final_optimization();
         assert!(graph.state().connectivity.are_connected(before, after));
+        assert_eq!(graph.is_tied_by_odometry_alone(after), room != (6.0, 5.0));
         graph.state().nodes.get(&middle).unwrap().map_from_tracking.translation.vector.x
     }
 
@@ -298,7 +308,7 @@ mod tests {
         let second = graph.add_node(after, inserted((6.0, 5.0), 10.0, 200.0));
         assert!(!graph.state().connectivity.are_connected(before, after));
         graph.run_final_optimization();
-        assert!(graph.is_tied_by_odometry(after) && !graph.is_tied_by_odometry(before));
+        assert!(graph.is_tied_by_odometry_alone(after) && !graph.is_tied_by_odometry_alone(before));
         assert!(graph.state().connectivity.are_connected(before, after));
         let at = |id| graph.state().nodes.get(&id).unwrap().map_from_tracking.translation.vector;
         assert!(((at(second) - at(first)).x - 200.0).abs() < 1e-6, "{} {}", at(first), at(second));

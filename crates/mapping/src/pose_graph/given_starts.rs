@@ -7,11 +7,10 @@
 
 use std::collections::BTreeSet;
 
-use portolan_geometry::rotation_angle;
-use portolan_optimization::{OptimizationData, TrajectoryConnectivity};
+use portolan_geometry::{Rigid3, rotation_angle};
 
 use super::PoseGraph;
-use crate::{Space, TrajectoryId, of_trajectory};
+use crate::{NodeId, Space, TrajectoryId, of_trajectory};
 
 /// Maximum error of a correct start, metres and radians: users do not give them more accurately.
 const RIGHT: (f64, f64) = (0.5, 0.1);
@@ -27,9 +26,9 @@ impl<S: Space> PoseGraph<S> {
         if !self.searches_whole_maps() {
             return;
         }
-        let told: BTreeSet<TrajectoryId> =
+        let with_start: BTreeSet<TrajectoryId> =
             self.problem.given_starts.keys().map(|node_id| node_id.trajectory_id).collect();
-        for id in told {
+        for id in with_start {
             self.doubt_given_start(id);
         }
     }
@@ -41,8 +40,9 @@ impl<S: Space> PoseGraph<S> {
         if self.stop.is_asked() {
             return;
         }
-        let before = (self.state.clone(), self.problem.clone());
-        let (waiting, placed_at) = (self.waiting.clone(), self.localisation.placed_at);
+        let before = self.snapshot();
+        let given_start =
+            of_trajectory(&self.problem.given_starts, id).next().map(|(node_id, pose)| (node_id, *pose));
         let is_confirmed = |graph: &Self| graph.consistency_with_others(&new).is_confirmed();
         if is_confirmed(self) {
             // It is not needed any more, and would bias the result.
@@ -52,10 +52,9 @@ impl<S: Space> PoseGraph<S> {
             self.look_elsewhere(id, &new);
         }
         if is_confirmed(self) {
-            self.note_error_of_start(id, &before.1);
+            given_start.into_iter().for_each(|(first, given)| self.note_error_of_start(first, &given));
         } else {
-            (self.state, self.problem) = before;
-            (self.waiting, self.localisation.placed_at) = (waiting, placed_at);
+            self.restore(before);
         }
     }
 
@@ -70,17 +69,12 @@ impl<S: Space> PoseGraph<S> {
         }
     }
 
-    fn note_error_of_start(&mut self, id: TrajectoryId, told: &OptimizationData) {
-        let told = of_trajectory(&told.given_starts, id).next();
-        let Some((found, told)) =
-            told.and_then(|(first, told)| self.problem.nodes.get(&first).zip(Some(told)))
-        else {
-            return;
-        };
-        let error = told.inverse() * found.map_from_node;
+    fn note_error_of_start(&mut self, first: NodeId, given: &Rigid3) {
+        let Some(found) = self.problem.nodes.get(&first) else { return };
+        let error = given.inverse() * found.map_from_node;
         let (metres, radians) = (error.translation.vector.norm(), rotation_angle(&error));
         if metres > RIGHT.0 || radians > RIGHT.1 {
-            self.refuted_starts.insert(id, (metres, radians));
+            self.refuted_starts.insert(first.trajectory_id, (metres, radians));
         }
     }
 
@@ -91,19 +85,6 @@ impl<S: Space> PoseGraph<S> {
             new.contains(&constraint.node_id.trajectory_id)
                 == new.contains(&constraint.submap_id.trajectory_id)
         });
-        self.state.connectivity = TrajectoryConnectivity::default();
-        for (id, entry) in &self.state.trajectories {
-            self.state.connectivity.add(*id);
-            if let Some(start) = entry.initial_pose.as_ref().filter(|_| !new.contains(id)) {
-                self.state.connectivity.connect(*id, start.to_trajectory_id, start.time);
-            }
-        }
-        let frozen: Vec<TrajectoryId> = self.problem.frozen.iter().copied().collect();
-        frozen.into_iter().for_each(|id| self.freeze_trajectory(id));
-        let ties = self.state.constraints.iter();
-        let ties = ties.filter(|c| c.node_id.trajectory_id != c.submap_id.trajectory_id).cloned();
-        for constraint in ties.collect::<Vec<_>>() {
-            self.connect_by(&constraint);
-        }
+        self.state.connectivity = self.connectivity_by(|_| true, |id| !new.contains(&id));
     }
 }

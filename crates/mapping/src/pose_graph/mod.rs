@@ -15,6 +15,7 @@ mod final_search;
 mod found_places;
 mod gaps;
 mod given_starts;
+mod hypotheses;
 mod insertion;
 mod joining;
 mod lifelong;
@@ -66,7 +67,9 @@ use places::PlaceSearches;
 use portolan_config::PoseGraphOptions;
 use portolan_geometry::{Dimension, Time};
 use portolan_local_slam::{InsertedNode, UsualAgreement};
-use portolan_optimization::{LandmarkSighting, OptimizationData, OptimizationSummary, unused_fixes};
+use portolan_optimization::{
+    LandmarkSighting, OptimizationData, OptimizationSummary, TrajectoryConnectivity, unused_fixes,
+};
 use portolan_recall::Memory;
 use portolan_sensor::{FixedFramePoseData, ImuData, LandmarkData, OdometryData};
 use sampling::Samplers;
@@ -106,7 +109,7 @@ pub struct PoseGraph<S: Space> {
     contradicted: u64,
     /// Trajectories that began after local SLAM lost its pose, without a place in the rest.
     pieces: BTreeSet<TrajectoryId>,
-    /// Those of `pieces` that only odometry ties to the trajectory before a gap.
+    /// Those of `pieces` that odometry ties to the trajectory before a gap, since nothing else did at the time.
     tied_by_odometry: BTreeSet<TrajectoryId>,
     /// Trajectories whose scans contradict the start given by the user: distance between the given and the
     /// found start, metres and radians.
@@ -395,14 +398,45 @@ impl<S: Space> PoseGraph<S> {
     }
 
     fn connect_by(&mut self, constraint: &Constraint) {
-        let (Some(node), Some(entry)) =
-            (self.state.nodes.get(&constraint.node_id), self.state.submaps.get(&constraint.submap_id))
-        else {
-            return;
-        };
+        if let Some((a, b, time)) = self.connection_by(constraint) {
+            self.state.connectivity.connect(a, b, time);
+        }
+    }
+
+    /// The trajectories that a constraint connects, and the time of the later of its ends.
+    fn connection_by(&self, constraint: &Constraint) -> Option<(TrajectoryId, TrajectoryId, Time)> {
+        let (node, entry) =
+            (self.state.nodes.get(&constraint.node_id)?, self.state.submaps.get(&constraint.submap_id)?);
         let time = node.data.time.max(self.state.time_of_last_node(entry).unwrap_or(Time::MIN));
-        let (a, b) = (constraint.node_id.trajectory_id, constraint.submap_id.trajectory_id);
-        self.state.connectivity.connect(a, b, time);
+        Some((constraint.node_id.trajectory_id, constraint.submap_id.trajectory_id, time))
+    }
+
+    /// Which trajectories are connected by constraints for which `counts` holds, by the initial poses of
+    /// trajectories for which `has_start` holds, and because both are frozen.
+    fn connectivity_by(
+        &self,
+        counts: impl Fn(&Constraint) -> bool,
+        has_start: impl Fn(TrajectoryId) -> bool,
+    ) -> TrajectoryConnectivity {
+        let mut connectivity = TrajectoryConnectivity::default();
+        for (id, entry) in &self.state.trajectories {
+            connectivity.add(*id);
+            if let Some(start) = entry.initial_pose.as_ref().filter(|_| has_start(*id)) {
+                connectivity.connect(*id, start.to_trajectory_id, start.time);
+            }
+        }
+        let frozen = &self.problem.frozen;
+        for (a, b) in frozen.iter().flat_map(|a| frozen.iter().map(move |b| (*a, *b))) {
+            if !connectivity.are_connected(a, b) {
+                connectivity.connect(a, b, Time::from_ticks(0));
+            }
+        }
+        let across = |c: &&Constraint| c.node_id.trajectory_id != c.submap_id.trajectory_id;
+        let ties = self.state.constraints.iter().filter(across).filter(|c| counts(c));
+        for (a, b, time) in ties.filter_map(|constraint| self.connection_by(constraint)) {
+            connectivity.connect(a, b, time);
+        }
+        connectivity
     }
 
     fn run_optimization(&mut self) {

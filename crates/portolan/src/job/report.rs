@@ -165,7 +165,7 @@ fn losses<S: Space>(mapped: &MappedRecording<S>) -> Vec<serde_json::Value> {
             "is_connected": !mapped.is_apart(loss),
             "is_gap_without_scans": loss.is_gap,
             "scans_without_pose": without_pose,
-            "is_tied_by_odometry_alone": mapped.is_tied_by_odometry(loss),
+            "is_tied_by_odometry_alone": mapped.is_tied_by_odometry_alone(loss),
         })
     };
     mapped.losses.iter().zip(mapped.scans_without_pose()).map(entry).collect()
