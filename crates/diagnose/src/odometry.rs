@@ -1,4 +1,5 @@
-//! Checks the odometry of one topic (check 2 of `spec/tools.md` §2.6), jumps and motion out of the plane.
+//! Checks the odometry of one topic (check 2 of `spec/tools.md` §2.6): invalid poses, jumps, frames of maps
+//! and missing motion.
 
 use portolan_geometry::{Rigid3, Time, yaw};
 use portolan_ingest::pose_of;

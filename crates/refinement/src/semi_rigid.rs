@@ -91,7 +91,7 @@ pub fn refine_semi_rigid(
         if session.report.stopped {
             break;
         }
-        session.measure_round(iteration);
+        session.measure_round();
     }
     Ok(session.finish(|_, _| {}))
 }

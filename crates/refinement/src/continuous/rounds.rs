@@ -98,7 +98,7 @@ impl<'r, 'a, 'b> Rounds<'r, 'a, 'b> {
             if self.run.session.report.stopped {
                 return Ok(None);
             }
-            self.run.session.measure_round(round);
+            self.run.session.measure_round();
             last = Some((map, knots));
             if !is_first {
                 let session = &mut self.run.session;

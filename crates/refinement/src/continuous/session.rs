@@ -83,7 +83,7 @@ impl<'a> Session<'a> {
             uncovered_ends,
             fits_nowhere: false,
         };
-        session.measure_round(0);
+        session.measure_round();
         Ok(session)
     }
 
@@ -94,7 +94,7 @@ impl<'a> Session<'a> {
     }
 
     /// Measures the current sharpness of the cloud.
-    pub fn measure_round(&mut self, _round: usize) {
+    pub fn measure_round(&mut self) {
         let options = SharpnessOptions {
             max_points: ROUND_POINTS,
             queries: ROUND_QUERIES,

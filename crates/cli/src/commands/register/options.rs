@@ -239,7 +239,7 @@ pub struct GlobalMatchingArgs {
     #[arg(long, value_name = "FILE", requires = "global")]
     pub links_file: Option<PathBuf>,
     /// By overlap: scans with more pairs than this are compared.
-    #[arg(long, value_name = "N", default_value_t = 400)]
+    #[arg(long, value_name = "N", default_value_t = 400, requires = "global")]
     pub min_pairs: usize,
     /// By distance: scans nearer than this are compared, metres.
     #[arg(long, value_name = "METRES", default_value_t = 5.0, requires = "global")]
