@@ -1,22 +1,22 @@
-//! What files are written through: the disk itself, or in tests one that fails.
+//! Layer through which files are read and written. With the feature `faults` tests let its operations fail.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
-/// A file of the disk.
+/// A file whose operations can be made to fail in tests.
 #[derive(Debug)]
 pub struct Disk<F>(pub F);
 
 impl<F> Disk<F> {
-    /// The same file, read and written by whoever has no more than a reference to it.
+    /// The same file by reference, for code that reads or writes without owning it.
     pub fn shared(&self) -> Disk<&F> {
         Disk(&self.0)
     }
 }
 
 impl Disk<File> {
-    /// Lets the file end after so many bytes.
+    /// Sets the length of the file, bytes.
     ///
     /// # Errors
     /// Those of the system.
@@ -25,7 +25,7 @@ impl Disk<File> {
         self.0.set_len(bytes)
     }
 
-    /// Waits until everything is on the disk.
+    /// Waits until content and metadata are on the disk.
     ///
     /// # Errors
     /// Those of the system.
@@ -44,7 +44,8 @@ impl Disk<File> {
     }
 }
 
-/// Waits until a file or folder is on the disk; not where a test has the disk fail, which waits for thousands.
+/// Waits until a file or folder is on the disk. While a test plans faults it returns at once, because such a test
+/// synchronises thousands of files.
 pub(crate) fn sync(file: &File) -> io::Result<()> {
     #[cfg(feature = "faults")]
     if crate::faults::is_planned() {
@@ -53,7 +54,8 @@ pub(crate) fn sync(file: &File) -> io::Result<()> {
     file.sync_all()
 }
 
-/// A file without a name in this folder, for what waits on disk; it is gone when nobody holds it, whatever happens.
+/// Creates an unnamed temporary file in this folder, for data that are kept on disk. The system removes it when its
+/// last handle is closed, also if the process is killed.
 ///
 /// # Errors
 /// The folder is missing or not writable.
@@ -88,7 +90,7 @@ impl<F: Seek> Seek for Disk<F> {
     }
 }
 
-/// Called before a file is made, before it is made durable and before it gets its name.
+/// Fault injection point: called before a file is created, truncated, synchronised or renamed.
 pub(crate) fn before_operation() -> io::Result<()> {
     #[cfg(feature = "faults")]
     crate::faults::before_write(&[])?;

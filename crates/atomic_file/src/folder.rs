@@ -1,22 +1,22 @@
-//! Folders for results that are not left behind empty.
+//! Folders for results, removed again if they stay empty.
 
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// A folder for results. Dropped, it goes again if it was made for this and nothing came into it.
+/// Folder for results. When it is dropped, the folders that it created are removed if they are still empty.
 #[derive(Debug, Default)]
 pub struct ResultFolder {
-    /// What was made, the innermost first.
+    /// Folders that were created, the innermost first.
     made: Vec<PathBuf>,
 }
 
 impl ResultFolder {
-    /// Makes a folder, with those above it that are missing, and tries whether files can be written there, so that this
-    /// does not fail after hours of work.
+    /// Creates a folder with its missing parents, and tests whether files can be created in it, so that writing does
+    /// not fail after hours of work.
     ///
     /// # Errors
-    /// It cannot be made or written to, or there is something else of this name.
+    /// The folder cannot be created or written to, or a file of this name exists.
     pub fn make(path: impl AsRef<Path>) -> Result<Self, io::Error> {
         let path = path.as_ref();
         if path.exists() && !path.is_dir() {
@@ -38,7 +38,7 @@ impl ResultFolder {
 
 impl Drop for ResultFolder {
     fn drop(&mut self) {
-        // The system refuses to remove folders that hold something.
+        // `remove_dir` refuses to remove folders that are not empty.
         let _ = self.made.iter().try_for_each(fs::remove_dir);
     }
 }

@@ -1,23 +1,24 @@
-//! Temporary files that a killed process left. Whoever writes one holds a lock on it, which ends with the process.
+//! Removes temporary files that a killed process left behind. A process holds a lock on each temporary file that it
+//! writes; the lock ends with the process.
 
 use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Names of temporary files begin and end so.
+/// Prefix and suffix of the names of temporary files.
 pub(crate) const PREFIX: &str = ".portolan-";
 pub(crate) const SUFFIX: &str = ".tmp";
 
 /// Temporary files that were found in a folder.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Leftovers {
-    /// Nobody was writing them; they are gone.
+    /// Files that no process was writing; they have been removed.
     pub removed: Vec<PathBuf>,
-    /// Nobody knows whether somebody is writing them, or they cannot be removed.
+    /// Files whose lock cannot be tested, or that cannot be removed.
     pub left: Vec<PathBuf>,
 }
 
-/// Removes the temporary files in a folder whose process has ended. Those that somebody is writing stay.
+/// Removes the temporary files in a folder whose process has ended. Files that a running process writes stay.
 pub fn remove_leftovers(folder: &Path) -> Leftovers {
     let mut leftovers = Leftovers::default();
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
@@ -37,7 +38,7 @@ pub fn remove_leftovers(folder: &Path) -> Leftovers {
     leftovers
 }
 
-/// Whether nobody was writing the file, so that it was removed.
+/// Removes the file if no process holds its lock; returns whether it was removed.
 fn remove_unless_locked(path: &Path) -> io::Result<bool> {
     let file = File::open(path)?;
     match file.try_lock() {
@@ -47,12 +48,12 @@ fn remove_unless_locked(path: &Path) -> io::Result<bool> {
     }
 }
 
-/// Marks a temporary file as being written; false if it was taken for a leftover meanwhile, and is gone.
+/// Locks a temporary file that is being written; false if another process has taken it for a leftover meanwhile.
 pub(crate) fn claim(file: &File, path: &Path) -> bool {
     match file.try_lock() {
         Ok(()) => path.exists(),
         Err(TryLockError::WouldBlock) => false,
-        // Where files cannot be locked nobody removes leftovers either.
+        // Where files cannot be locked, no process removes leftovers either.
         Err(TryLockError::Error(_)) => true,
     }
 }

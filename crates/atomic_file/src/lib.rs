@@ -26,24 +26,24 @@ pub use space::{NoRoom, free_bytes, require_room, require_room_for};
 pub struct WriteError {
     /// The file that should have been written.
     pub path: PathBuf,
-    /// What the system says.
+    /// Error of the system.
     pub source: io::Error,
 }
 
-/// A file that is written under a temporary name beside its place and renamed by
-/// [`AtomicFile::commit`]. Dropped without that, it leaves nothing behind, and a file that was there
-/// before stays as it was.
+/// A file that is written under a temporary name in the folder of its destination and renamed by
+/// [`AtomicFile::commit`]. If it is dropped without that, the temporary file is removed, and an earlier file of the
+/// final name stays unchanged.
 ///
 /// Devices and pipes (`/dev/stdout`) are written to directly.
 pub struct AtomicFile {
     path: PathBuf,
     target: Target,
-    /// Why something could not be written. The file is not whole then, even if whoever wrote it went on.
+    /// First error of a write. The file is then incomplete, even if the caller ignored the error and went on.
     failure: Option<io::Error>,
 }
 
 enum Target {
-    /// To be renamed to the path.
+    /// Temporary file, to be renamed to the path.
     Temporary(BufWriter<Disk<NamedTempFile>>, Unfinished, PathBuf),
     Direct(BufWriter<Disk<File>>),
 }
@@ -54,22 +54,22 @@ impl AtomicFile {
     /// Begins a file.
     ///
     /// # Errors
-    /// The folder is missing or not writable, the name is that of a folder, or the link of this name leads nowhere.
+    /// The folder is missing or not writable, the path is a folder, or it is a dangling symbolic link.
     pub fn create(path: impl AsRef<Path>) -> Result<Self, WriteError> {
         let path = path.as_ref();
         let target = open_target(path).map_err(|source| WriteError { path: path.to_owned(), source })?;
         Ok(Self { path: path.to_owned(), target, failure: None })
     }
 
-    /// The name the file will have.
+    /// Final path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Replaces bytes that were written before: headers whose numbers are known at last.
+    /// Replaces bytes that were written before: for headers with counts that are known only at the end.
     ///
     /// # Errors
-    /// The system cannot write, or this is a pipe, which cannot go back.
+    /// The system cannot write, or this is a pipe, which is not seekable.
     pub fn overwrite(&mut self, offset: u64, bytes: &[u8]) -> io::Result<()> {
         fn overwrite(file: &mut (impl Write + Seek), offset: u64, bytes: &[u8]) -> io::Result<()> {
             file.seek(SeekFrom::Start(offset))?;
@@ -83,10 +83,10 @@ impl AtomicFile {
         self.noted(done)
     }
 
-    /// A handle for a library that writes the file itself, reads it while writing, and uses no buffer.
+    /// An unbuffered handle, for a library that writes the file itself and reads it while writing.
     ///
     /// # Errors
-    /// The system has no handle left.
+    /// The system cannot duplicate the handle.
     pub fn handle(&self) -> io::Result<Disk<File>> {
         let handle = match &self.target {
             Target::Temporary(writer, ..) => writer.get_ref().0.as_file().try_clone(),
@@ -95,10 +95,10 @@ impl AtomicFile {
         handle.map(Disk)
     }
 
-    /// Keeps in mind that something could not be written.
+    /// Remembers the first error of a write.
     fn noted<T>(&mut self, done: io::Result<T>) -> io::Result<T> {
         match &done {
-            // Whoever was interrupted tries again.
+            // An interrupted write is retried by the caller and is no failure.
             Err(error) if error.kind() != io::ErrorKind::Interrupted && self.failure.is_none() => {
                 self.failure = Some(copy_of(error));
             }
@@ -107,10 +107,10 @@ impl AtomicFile {
         done
     }
 
-    /// Writes out what is buffered, waits until it is on the disk and gives the file its name.
+    /// Flushes the buffer, waits until the content is on the disk and renames the file to its final name.
     ///
     /// # Errors
-    /// What is buffered, or anything before, cannot be written, or the file cannot be synchronised or renamed.
+    /// The buffer or anything before could not be written, or the file cannot be synchronised or renamed.
     pub fn commit(self) -> Result<(), WriteError> {
         if let Some(source) = self.failure {
             return Err(WriteError { path: self.path, source });
@@ -124,7 +124,7 @@ impl AtomicFile {
         written.map_err(|source| WriteError { path: self.path, source })
     }
 
-    /// The error of a write, with the name of the file.
+    /// Adds the path of the file to the error of a write.
     pub fn error(&self, source: io::Error) -> WriteError {
         WriteError { path: self.path.clone(), source }
     }
@@ -133,7 +133,7 @@ impl AtomicFile {
 /// Writes a whole file at once.
 ///
 /// # Errors
-/// The file cannot be begun, as with [`AtomicFile::create`], or cannot be written, synchronised or renamed.
+/// The file cannot be created, as with [`AtomicFile::create`], or cannot be written, synchronised or renamed.
 pub fn write_atomically(path: impl AsRef<Path>, content: &[u8]) -> Result<(), WriteError> {
     let mut file = AtomicFile::create(path)?;
     if let Err(source) = file.write_all(content) {
@@ -165,17 +165,19 @@ fn open_target(path: &Path) -> io::Result<Target> {
     Ok(Target::Temporary(BufWriter::with_capacity(BUFFER, Disk(file)), unfinished, destination))
 }
 
-/// How often a temporary file may be taken for a leftover between its creation and its lock.
+/// Maximum number of attempts to create a temporary file: another process may take it for a leftover and remove it
+/// between its creation and its lock.
 const ATTEMPTS: usize = 8;
 
-/// A new file that a signal removes, and that [`remove_leftovers`] of another process leaves alone.
+/// Creates a temporary file that is removed when a signal ends the process, and that [`remove_leftovers`] of another
+/// process does not remove.
 fn temporary_file(folder: &Path) -> io::Result<(Unfinished, NamedTempFile)> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(leftover::PREFIX).suffix(leftover::SUFFIX);
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt as _;
-        // As for any new file; the system takes away what the user's mask forbids.
+        // The usual permissions of a new file; the system applies the umask of the user.
         builder.permissions(fs::Permissions::from_mode(0o666));
     }
     for _ in 0..ATTEMPTS {
@@ -188,7 +190,7 @@ fn temporary_file(folder: &Path) -> io::Result<(Unfinished, NamedTempFile)> {
     Err(io::Error::new(io::ErrorKind::ResourceBusy, "another program removes temporary files there"))
 }
 
-/// What the system says, without the temporary name that `tempfile` adds and that means nothing to anybody.
+/// The error of the system without the temporary path that `tempfile` appends, which is meaningless to the user.
 pub(crate) fn plain(error: io::Error) -> io::Error {
     match error.to_string().split_once(" at path \"") {
         Some((cause, _)) => io::Error::new(error.kind(), cause.to_owned()),
@@ -196,7 +198,7 @@ pub(crate) fn plain(error: io::Error) -> io::Error {
     }
 }
 
-/// An error once more.
+/// Copy of an error; [`io::Error`] is not `Clone`.
 fn copy_of(error: &io::Error) -> io::Error {
     match error.raw_os_error() {
         Some(code) => io::Error::from_raw_os_error(code),
@@ -204,7 +206,7 @@ fn copy_of(error: &io::Error) -> io::Error {
     }
 }
 
-/// Where a link leads, so that the link stays one.
+/// Target of a symbolic link, so that the file behind the link is replaced and the link is kept; else the path itself.
 fn destination(path: &Path) -> io::Result<PathBuf> {
     if !fs::symlink_metadata(path).is_ok_and(|metadata| metadata.is_symlink()) {
         return Ok(path.to_owned());
@@ -233,7 +235,8 @@ fn commit_temporary(
     sync_folder(folder_of(destination))
 }
 
-/// Waits until the new name is on the disk, too. Not every system lets folders be opened or synchronised.
+/// Waits until the new directory entry is on the disk. Not every system allows folders to be opened or synchronised;
+/// there it does nothing.
 fn sync_folder(folder: &Path) -> io::Result<()> {
     let Ok(folder) = File::open(folder) else { return Ok(()) };
     sync(&folder).or_else(|error| match error.kind() {

@@ -1,8 +1,8 @@
-//! How much room a disk has.
+//! Free disk space.
 
 use std::path::{Path, PathBuf};
 
-/// A disk is too full.
+/// The disk has too little free space.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 #[error(
     "{}: only {} are free, and the results need at least {}",
@@ -11,15 +11,15 @@ use std::path::{Path, PathBuf};
     size(*needed)
 )]
 pub struct NoRoom {
-    /// Where the results should go.
+    /// Folder of the results.
     pub folder: PathBuf,
-    /// Bytes that are free there.
+    /// Free space there, bytes.
     pub free: u64,
-    /// Bytes that the results need at the very least.
+    /// Minimum space that the results need, bytes.
     pub needed: u64,
 }
 
-/// Bytes in words.
+/// A number of bytes with unit, for people.
 fn size(bytes: u64) -> String {
     match bytes {
         0..1024 => format!("{bytes} bytes"),
@@ -28,10 +28,10 @@ fn size(bytes: u64) -> String {
     }
 }
 
-/// Refuses a folder on a disk without that much room. Where it is not known how much there is, everything fits.
+/// Requires `needed` bytes of free space on the disk of a folder. If the free space is unknown, it succeeds.
 ///
 /// # Errors
-/// There is less.
+/// The free space is smaller.
 pub fn require_room(folder: &Path, needed: u64) -> Result<(), NoRoom> {
     match free_bytes(folder) {
         Some(free) if free < needed => Err(NoRoom { folder: folder.to_owned(), free, needed }),
@@ -39,10 +39,10 @@ pub fn require_room(folder: &Path, needed: u64) -> Result<(), NoRoom> {
     }
 }
 
-/// Refuses a file on a disk without that much room; devices and pipes take anything.
+/// Requires `needed` bytes of free space on the disk of a file. For devices and pipes it succeeds.
 ///
 /// # Errors
-/// There is less.
+/// The free space is smaller.
 pub fn require_room_for(file: &Path, needed: u64) -> Result<(), NoRoom> {
     let is_other = std::fs::metadata(file).is_ok_and(|found| !found.is_file());
     match file.parent() {

@@ -1,13 +1,13 @@
-//! Bits of a stream, the most significant of each byte first.
+//! Reads the bits of a stream, the most significant bit of each byte first.
 
 use std::io::{Error, ErrorKind, Result};
 
 /// Bits that are not yet read.
 pub(crate) struct Bits<'a> {
     data: &'a [u8],
-    /// First byte that is not in `buffer` at all.
+    /// Index of the first byte that is not in `buffer` at all.
     next: usize,
-    /// The bits to come from the top, `count` of them; those below may already be right.
+    /// The next `count` bits, starting at the top; the bits below them may already be valid.
     buffer: u64,
     count: u32,
 }
@@ -17,7 +17,7 @@ impl<'a> Bits<'a> {
         Self { data, next: 0, buffer: 0, count: 0 }
     }
 
-    /// Sees to it that [`Bits::peek`] shows at least 56 bits; behind the end they are zero.
+    /// Ensures that [`Bits::peek`] has at least 56 bits; bits after the end are zero.
     #[inline]
     pub(crate) fn refill(&mut self) {
         let word = match self.data.get(self.next..self.next + 8) {
@@ -39,23 +39,23 @@ impl<'a> Bits<'a> {
         u64::from_be_bytes(word)
     }
 
-    /// The bits to come, the next one on top.
+    /// The next bits, starting at the top.
     #[inline]
     pub(crate) fn peek(&self) -> u64 {
         self.buffer
     }
 
-    /// Goes on by `bits` of those that [`Bits::refill`] brought.
+    /// Consumes `bits` of the bits that [`Bits::refill`] provided.
     #[inline]
     pub(crate) fn skip(&mut self, bits: u32) {
         self.buffer <<= bits;
         self.count -= bits;
     }
 
-    /// The next one to 24 bits.
+    /// Consumes and returns the next 1 to 24 bits.
     ///
     /// # Errors
-    /// The data end before.
+    /// If the data end before.
     pub(crate) fn take(&mut self, bits: u32) -> Result<u32> {
         self.refill();
         let value = (self.buffer >> (64 - bits)) as u32;
@@ -64,21 +64,21 @@ impl<'a> Bits<'a> {
     }
 
     /// # Errors
-    /// More bits were taken than there are.
+    /// If more bits were consumed than there are.
     pub(crate) fn check(&self) -> Result<()> {
-        // Bits behind the end are counted as if they were there.
+        // Bits after the end were counted as if they existed.
         if self.next - (self.count / 8) as usize > self.data.len() {
             return Err(Error::new(ErrorKind::UnexpectedEof, "the data end within a stream"));
         }
         Ok(())
     }
 
-    /// Goes on to the next whole byte.
+    /// Skips to the next byte boundary.
     pub(crate) fn align_to_byte(&mut self) {
         self.skip(self.count % 8);
     }
 
-    /// Whether every byte was begun.
+    /// Whether at least one bit of every byte was consumed.
     pub(crate) fn at_end(&self) -> bool {
         self.next - (self.count / 8) as usize >= self.data.len()
     }

@@ -1,4 +1,4 @@
-//! A block: from its bits to the transformed text.
+//! Decodes a block from its bits to the transformed text.
 
 use std::io::Result;
 
@@ -7,30 +7,30 @@ use crate::damaged;
 use crate::huffman::{Codes, MAX_SYMBOLS};
 
 const MAX_TABLES: usize = 6;
-/// Symbols that are coded with the same table.
+/// Number of symbols that are coded with the same table.
 const GROUP: usize = 50;
 const RUN_A: u16 = 0;
 const RUN_B: u16 = 1;
 
-/// What the head of a block says.
+/// The header of a block.
 #[derive(Clone, Copy)]
 pub(crate) struct Head {
-    /// Whether single bits of the text were turned.
+    /// Whether single bits of the text were inverted.
     pub(crate) randomised: bool,
-    /// Which of the sorted rotations is the text.
+    /// Index of the text among the sorted rotations.
     pub(crate) origin: usize,
 }
 
 /// The last bytes of the sorted rotations of a block.
 pub(crate) struct Transformed {
-    /// Room for the largest block and [`SPARE`] bytes more.
+    /// Buffer for the largest block and [`SPARE`] more bytes.
     room: Vec<u8>,
     length: usize,
-    /// How often each byte occurs.
+    /// Number of occurrences of each byte.
     pub(crate) counts: [u32; 256],
 }
 
-/// Runs are written in pieces of so many bytes, most of them in one.
+/// Runs are written in pieces of this size, bytes; one piece is enough for most runs.
 const SPARE: usize = 16;
 
 impl Default for Transformed {
@@ -44,7 +44,7 @@ impl Transformed {
         self.room.get(..self.length).unwrap_or_default()
     }
 
-    /// Empties it for a block of at most `largest` bytes.
+    /// Clears it for a block of at most `largest` bytes.
     fn begin(&mut self, largest: usize) {
         self.room.resize(largest + SPARE, 0);
         self.length = 0;
@@ -78,7 +78,7 @@ impl Transformed {
 
     #[inline]
     fn count(&mut self, byte: u8, more: u32) {
-        // There is one for each byte.
+        // Every byte has a count.
         if let Some(count) = self.counts.get_mut(usize::from(byte)) {
             *count += more;
         }
@@ -89,7 +89,7 @@ fn too_long() -> std::io::Error {
     damaged("a block that is too long")
 }
 
-/// Reads blocks.
+/// Decodes blocks.
 #[derive(Default)]
 pub(crate) struct BlockReader {
     tables: [Codes; MAX_TABLES],
@@ -98,12 +98,12 @@ pub(crate) struct BlockReader {
 }
 
 impl BlockReader {
-    /// The block that was read last.
+    /// The last block that was read.
     pub(crate) fn transformed(&self) -> &Transformed {
         &self.transformed
     }
 
-    /// Reads a block of at most `largest` bytes, from behind its checksum.
+    /// Reads a block of at most `largest` bytes, starting after its checksum.
     pub(crate) fn read(&mut self, bits: &mut Bits<'_>, largest: usize) -> Result<Head> {
         self.transformed.begin(largest);
         let randomised = bits.take(1)? == 1;
@@ -114,7 +114,7 @@ impl BlockReader {
         Ok(Head { randomised, origin })
     }
 
-    /// Which table each group of symbols has, then the tables for so many `symbols`.
+    /// Reads the table index of each group of symbols, then the tables for this number of `symbols`.
     fn read_tables(&mut self, bits: &mut Bits<'_>, symbols: usize) -> Result<()> {
         let tables = bits.take(3)? as usize;
         let groups = bits.take(15)?;
@@ -139,7 +139,7 @@ impl BlockReader {
         self.tables.iter_mut().take(tables).try_for_each(|table| table.read(bits, symbols))
     }
 
-    /// Symbols up to `end`: digits of runs of the byte in front, or places in `order`.
+    /// Reads symbols until `end`: digits of runs of the front byte, or places in `order`.
     fn read_symbols(
         &mut self,
         bits: &mut Bits<'_>,
@@ -155,7 +155,7 @@ impl BlockReader {
                 bits.refill();
                 let symbol = table.symbol(bits)?;
                 if symbol <= RUN_B {
-                    // A number in the digits one and two, the least first.
+                    // A number with the digits one and two, the least significant first.
                     run += digit << (symbol - RUN_A);
                     digit <<= 1;
                     if run > largest {
@@ -178,7 +178,7 @@ impl BlockReader {
     }
 }
 
-/// The bytes that occur in a block, in ascending order, and how many these are.
+/// Reads the bytes that occur in a block, in ascending order, and their number.
 fn used_bytes(bits: &mut Bits<'_>) -> Result<(Order, usize)> {
     let (mut order, mut used) = (Order([0; 256]), 0);
     let rows = bits.take(16)?;
@@ -198,7 +198,7 @@ fn used_bytes(bits: &mut Bits<'_>) -> Result<(Order, usize)> {
     Ok((order, used))
 }
 
-/// Bytes by how lately they occurred.
+/// The bytes in move-to-front order: the most recent first.
 struct Order([u8; 256]);
 
 impl Order {
@@ -219,7 +219,7 @@ impl Order {
         byte
     }
 
-    /// Most bytes come from the first few places: these are moved in one register.
+    /// Most bytes come from the first few places; these are moved within one register.
     #[inline]
     fn move_within_sixteen(&mut self, place: usize) -> u8 {
         let Some(front) = self.0.first_chunk_mut::<16>() else { return 0 };
@@ -227,7 +227,7 @@ impl Order {
         let shift = 8 * place as u32;
         let byte = (sixteen >> shift) as u8;
         let before = sixteen & ((1 << shift) - 1);
-        // Shifted twice, for the sixteenth place has nothing behind it.
+        // Shifted twice, because a single shift for the sixteenth place would be by the full width.
         let behind = (sixteen >> shift >> 8) << shift << 8;
         *front = (behind | before << 8 | u128::from(byte)).to_le_bytes();
         byte

@@ -6,22 +6,22 @@ use crate::bits::Bits;
 use crate::damaged;
 
 const MAX_LENGTH: usize = 20;
-/// Codes of so many bits are found by one look.
+/// Codes of up to this number of bits are decoded by one table lookup.
 const QUICK: u32 = 10;
-/// Symbols at most: 256 values, the two digits of runs less one, and the end.
+/// Maximum number of symbols: 256 values, the two digits of runs less one, and the end of the block.
 pub(crate) const MAX_SYMBOLS: usize = 258;
 
 /// One table of codes.
 pub(crate) struct Codes {
-    /// By the next [`QUICK`] bits: symbol and, in the low five bits, length of its code; zero if the
-    /// code is longer.
+    /// By the next [`QUICK`] bits: symbol and, in the low five bits, length of its code; zero if the code is
+    /// longer.
     quick: [u16; 1 << QUICK],
-    /// By length: the first code that is too large for it, in the top bits of 64 (the largest value if
-    /// none is).
+    /// By length: the first code that is too large for this length, in the top bits of 64 (the largest value
+    /// if there is none).
     bound: [u64; MAX_LENGTH + 1],
-    /// By length: what to add to a code of that length to get the number of its symbol.
+    /// By length: offset from a code of this length to the index of its symbol.
     offset: [i32; MAX_LENGTH + 1],
-    /// By length of code, then by value.
+    /// Sorted by length of code, then by value.
     symbols: [u16; MAX_SYMBOLS],
 }
 
@@ -37,7 +37,7 @@ impl Default for Codes {
 }
 
 impl Codes {
-    /// Reads the lengths of the codes of symbols 0 to `symbols` - 1.
+    /// Reads the code lengths of symbols 0 to `symbols` - 1.
     pub(crate) fn read(&mut self, bits: &mut Bits<'_>, symbols: usize) -> Result<()> {
         let mut lengths = [0u8; MAX_SYMBOLS];
         let mut length = bits.take(5)?;
@@ -56,7 +56,7 @@ impl Codes {
         self.assign(lengths.get(..symbols).unwrap_or(&lengths))
     }
 
-    /// Shorter codes come first, and among those of a length the symbols in their order.
+    /// Assigns codes: shorter codes come first, and codes of one length are in the order of the symbols.
     fn assign(&mut self, lengths: &[u8]) -> Result<()> {
         self.quick.fill(0);
         let (mut code, mut number) = (0u32, 0usize);
@@ -77,7 +77,7 @@ impl Codes {
         Ok(())
     }
 
-    /// The next symbol. [`Bits::refill`] must have brought 20 bits.
+    /// Decodes the next symbol. [`Bits::refill`] must have provided 20 bits.
     #[inline]
     pub(crate) fn symbol(&self, bits: &mut Bits<'_>) -> Result<u16> {
         let entry = self.quick.get((bits.peek() >> (64 - QUICK)) as usize).copied().unwrap_or_default();
@@ -103,7 +103,7 @@ impl Codes {
     }
 }
 
-/// Enters a symbol for whatever its code begins.
+/// Enters a symbol for all table indices that begin with its code.
 fn enter(quick: &mut [u16; 1 << QUICK], code: u32, length: u32, symbol: u16) {
     let Some(rest) = QUICK.checked_sub(length) else { return };
     let first = (code << rest) as usize;

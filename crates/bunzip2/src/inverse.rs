@@ -1,31 +1,31 @@
-//! Undoing the Burrows-Wheeler transform.
+//! Inverts the Burrows-Wheeler transform.
 //!
-//! The transform leaves a permutation whose cycle, followed from the origin, spells the text. Each step
-//! waits for a memory access at a place that looks random. The cycle is therefore cut into many pieces,
-//! and sixteen of them are followed at the same time, so that sixteen accesses are under way. Where a piece
-//! ends tells which one is next.
+//! The transform gives a permutation whose cycle, followed from the origin, spells the text. Each step waits
+//! for a memory access at an apparently random address. Therefore the cycle is cut into many pieces, and
+//! sixteen of them are followed at the same time, so that sixteen accesses are in flight. The end of a piece
+//! gives the piece that follows it.
 
 use std::io::Result;
 
 use crate::block::Transformed;
 use crate::damaged;
 
-/// Entries of the permutation: blocks have at most 900,000 bytes.
+/// Entries of the permutation; blocks have at most 900,000 bytes.
 const ENTRIES: usize = 1 << 20;
 const INDEX: usize = ENTRIES - 1;
-/// An entry that leads to itself, for lanes without work.
+/// An entry that points to itself, for idle lanes.
 const REST: usize = INDEX;
-/// Marks an entry where a piece begins.
+/// Marks the entry at which a piece begins.
 const BEGIN: u32 = 1 << 31;
 const LANES: usize = 16;
-/// Mean length of a piece, bytes: the shorter, the less time do lanes rest at the end.
+/// Mean length of a piece, bytes; the shorter the pieces, the less time lanes are idle at the end.
 const PIECE_BYTES: usize = 1024;
 
-/// Memory for undoing transforms.
+/// Buffers for inverting transforms.
 #[derive(Default)]
 pub(crate) struct Inverse {
-    /// Place of the next entry from bit 8 on, and the byte that stands there; or [`BEGIN`] and the number
-    /// of a piece.
+    /// Index of the next entry from bit 8 on, and the byte at that index; or [`BEGIN`] and the number of a
+    /// piece.
     next: Vec<u32>,
     pieces: Vec<Piece>,
     /// Bytes that were read along the lanes, step by step.
@@ -36,21 +36,21 @@ pub(crate) struct Inverse {
 /// A piece of the cycle.
 #[derive(Clone, Copy, Default)]
 struct Piece {
-    /// The entry that its mark replaced.
+    /// The entry that the mark of this piece replaced.
     first: u32,
-    /// Where its bytes are in `steps`.
+    /// Lane of its bytes in `steps`; they are the steps from `begin` to `end`.
     lane: usize,
     begin: usize,
     end: usize,
-    /// Number of the piece behind it.
+    /// Number of the piece that follows it.
     behind: usize,
 }
 
 impl Inverse {
-    /// The text whose sorted rotations end in `transformed`, itself the rotation number `origin`.
+    /// The text whose sorted rotations end in `transformed`; the text itself is rotation number `origin`.
     ///
     /// # Errors
-    /// There is no such rotation.
+    /// If there is no such rotation.
     pub(crate) fn undo(&mut self, transformed: &Transformed, origin: usize) -> Result<&[u8]> {
         let length = transformed.bytes().len();
         if length >= REST || origin >= length {
@@ -63,7 +63,7 @@ impl Inverse {
         Ok(&self.text)
     }
 
-    /// The permutation: all bytes in ascending order, each with where it stands in `transformed`.
+    /// Computes the permutation: all bytes in ascending order, each with its index in `transformed`.
     fn sort(&mut self, transformed: &Transformed) {
         let mut places = transformed.counts;
         let mut sum = 0;
@@ -82,7 +82,7 @@ impl Inverse {
         next[REST] = (REST as u32) << 8;
     }
 
-    /// Marks where pieces begin, first the one with the beginning of the text.
+    /// Marks the beginnings of pieces; the first piece has the beginning of the text.
     fn cut(&mut self, length: usize, origin: usize) {
         self.pieces.clear();
         let pieces = length.div_ceil(PIECE_BYTES);
@@ -94,7 +94,7 @@ impl Inverse {
         }
     }
 
-    /// Follows every piece to where another begins.
+    /// Follows every piece until another one begins.
     fn follow(&mut self) {
         let Some(next) = self.next.first_chunk::<ENTRIES>() else { return };
         self.steps.clear();
@@ -137,8 +137,8 @@ impl Inverse {
         }
     }
 
-    /// Puts the pieces in the order of the text. A text that repeats itself has a shorter cycle, which
-    /// is gone through more than once.
+    /// Joins the pieces in the order of the text. A text that repeats itself has a shorter cycle, which is
+    /// traversed more than once.
     fn join(&mut self, length: usize) {
         self.text.clear();
         let mut number = 0;

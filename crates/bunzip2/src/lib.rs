@@ -13,12 +13,12 @@ use bits::Bits;
 use block::BlockReader;
 use inverse::Inverse;
 
-/// Begins a block.
+/// Magic number at the start of a block.
 const BLOCK: u64 = 0x3141_5926_5359;
-/// Begins the end of a stream.
+/// Magic number at the end of a stream.
 const END_OF_STREAM: u64 = 0x1772_4538_5090;
 
-/// Memory for unpacking, to be used again.
+/// Decompresses data; reuses its memory.
 #[derive(Default)]
 pub struct Unpacker {
     block: BlockReader,
@@ -26,12 +26,12 @@ pub struct Unpacker {
 }
 
 impl Unpacker {
-    /// Appends what `packed` holds to `into`, which may grow to `limit` bytes. What comes before an
-    /// error stays in `into`.
+    /// Appends the decompressed data of `packed` to `into`, which may grow to `limit` bytes. After an error
+    /// `into` holds the data before it.
     ///
     /// # Errors
-    /// Data that are no bzip2, cut off, damaged (checksums are verified), or longer than `limit`; and
-    /// [`ErrorKind::Unsupported`] for randomised blocks, which packers before version 1.0 wrote.
+    /// If the data are not bzip2, cut off, damaged (checksums are verified), or longer than `limit`; with
+    /// [`ErrorKind::Unsupported`] for randomised blocks, which versions before 1.0 wrote.
     pub fn unpack(&mut self, packed: &[u8], limit: usize, into: &mut Vec<u8>) -> Result<()> {
         let mut bits = Bits::new(packed);
         self.stream(&mut bits, limit, into)?;

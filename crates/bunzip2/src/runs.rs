@@ -1,17 +1,17 @@
-//! Runs in the text of a block: behind four equal bytes stands how many more follow.
+//! Expands the runs in the text of a block: after four equal bytes comes the number of further repetitions.
 
 use std::io::Result;
 
 use crate::damaged;
 
-/// Bytes whose checksum is formed at once.
+/// Number of bytes whose checksum is computed at once.
 const PART: usize = 4096;
 
-/// Appends `text` with its runs at full length to `into`, which may grow to `limit` bytes, and returns
-/// the checksum of what was appended.
+/// Appends `text` with expanded runs to `into`, which may grow to `limit` bytes, and returns the checksum of
+/// the appended bytes.
 ///
 /// # Errors
-/// The limit is not enough; what fits was appended.
+/// If the limit is too small; everything that fits was appended.
 pub(crate) fn expand(text: &[u8], limit: usize, into: &mut Vec<u8>) -> Result<u32> {
     let begin = into.len();
     let mut rest = text;
@@ -31,11 +31,12 @@ pub(crate) fn expand(text: &[u8], limit: usize, into: &mut Vec<u8>) -> Result<u3
     Ok(checksum(into.get(begin..).unwrap_or_default()))
 }
 
-/// Length of the part that ends with the first four equal bytes, or of everything.
+/// Length of the part that ends with the first four equal bytes, or of the whole text.
 fn plain_length(text: &[u8]) -> usize {
     let mut at = 0;
     while let Some(&[a, b, c, d]) = text.get(at..at + 4) {
-        // Four that begin here or at the next two places have the third and the fourth in them.
+        // Four equal bytes that begin here or at one of the next two positions contain the third and the
+        // fourth byte.
         if c != d {
             at += 3;
         } else if a == b && b == c {
@@ -47,8 +48,8 @@ fn plain_length(text: &[u8]) -> usize {
     text.len()
 }
 
-/// CRC-32 of the polynomial 0x04C11DB7, bits from the most significant on. The common one takes the least
-/// significant first: it is the same with all bits reversed.
+/// CRC-32 with the polynomial 0x04C11DB7, most significant bit first. The common CRC-32 starts with the least
+/// significant bit; it is the same with all bits reversed.
 fn checksum(data: &[u8]) -> u32 {
     let mut hasher = crc32fast::Hasher::new();
     let mut reversed = [0u8; PART];

@@ -19,7 +19,7 @@ fn unpack(packed: &[u8]) -> (Vec<u8>, Result<()>) {
     (data, result)
 }
 
-/// Bytes as recordings have them: counters, smooth values, noise, zeros.
+/// Data like those of recordings: counters, smooth values, noise, zeros.
 fn like_a_recording(bytes: usize) -> Vec<u8> {
     let mut state = 1u32;
     let mut noise = || {
@@ -91,7 +91,7 @@ fn what_is_no_bzip2_or_cut_off_is_an_error() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
-    /// Whatever is done to the bits, the library and we agree whether the data are sound, and on the data.
+    /// For any change of bits, the library and our code agree whether the data are valid, and on the data.
     #[test]
     fn damage_is_seen_as_the_library_sees_it(
         at in 0usize..20_000, turned in 0u8..8, length in 1usize..20_000,

@@ -1,4 +1,4 @@
-//! Reading files of points, with words about what was repaired.
+//! Reads point clouds and reports repairs.
 
 use std::path::Path;
 
@@ -9,7 +9,8 @@ use crate::error::CliError;
 use crate::output::counted;
 use crate::progress::say;
 
-/// Reads a cloud of any format, or a folder of uos scans, thinned beyond `limit` points. What was repaired is said.
+/// Reads a cloud of any format, or a folder of uos scans, thinned if it has more than `limit` points. Repairs are
+/// reported on stderr.
 ///
 /// # Errors
 /// Fails if the file cannot be read or has no points.
@@ -17,7 +18,7 @@ pub fn read_cloud(path: &Path, limit: usize, quiet: bool) -> Result<ReadCloud, C
     told(portolan::job::read_cloud(path, limit), path, quiet)
 }
 
-/// The same from a reader; `path` is named in messages.
+/// As [`read_cloud`], from a reader; `path` is used in messages only.
 ///
 /// # Errors
 /// As [`read_cloud`].

@@ -1,4 +1,4 @@
-//! How a command ends.
+//! Outcomes and errors of commands.
 
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
@@ -10,14 +10,14 @@ use portolan::trajectory_file::TrajectoryFileError;
 use crate::exit::ExitStatus;
 use crate::interrupt;
 
-/// A command that ran to its end; the worst comes last.
+/// Outcome of a command that ran to its end, ordered from best to worst.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Outcome {
-    /// It did what it was asked, completely.
+    /// The result is complete.
     Done,
-    /// But some of the input could not be used, or some of the result hangs together with nothing.
+    /// Some of the input could not be used, or some of the result is not connected with the rest.
     DataLost,
-    /// But nothing of the result can be trusted; why was said.
+    /// The whole result is unreliable; the reason has been printed.
     Untrusted,
 }
 
@@ -31,36 +31,36 @@ impl From<Outcome> for ExitStatus {
     }
 }
 
-/// A command that could not do what it was asked.
+/// Error of a command that failed.
 #[derive(Debug, thiserror::Error)]
 pub enum CliError {
-    /// The command line asks for something impossible.
+    /// Wrong usage of the command line.
     #[error("{0}")]
     Usage(String),
-    /// Anything else, as a sentence that says what to do.
+    /// Any other error, as a sentence.
     #[error("{0}")]
     Failed(String),
-    /// It ran, and nothing of it can be trusted; why.
+    /// The command ran, but its whole result is unreliable; the reason.
     #[error("{0}")]
     Untrusted(String),
-    /// Of a recording no scan could be used.
+    /// No scan of a recording could be used.
     #[error("{0}")]
     NoScans(String),
     /// A file could not be read or written.
     #[error("{}: {source}", path.display())]
     File {
-        /// Which.
+        /// The file.
         path: PathBuf,
-        /// Why.
+        /// Error of the system.
         source: std::io::Error,
     },
-    /// The disk is too full.
+    /// Too little free disk space.
     #[error(transparent)]
     NoRoom(#[from] portolan_atomic_file::NoRoom),
-    /// A recording.
+    /// Error of a recording.
     #[error(transparent)]
     Recording(#[from] portolan_recording::RecordingError),
-    /// Mapping.
+    /// Error of mapping.
     #[error(transparent)]
     Mapper(#[from] portolan_mapping::MapperError),
     /// Results could not be printed.
@@ -69,12 +69,12 @@ pub enum CliError {
 }
 
 impl CliError {
-    /// A file that cannot be used, and why.
+    /// Error of a file that cannot be used, with the reason.
     pub fn in_file(path: &Path, reason: impl Display) -> Self {
         Self::Failed(format!("{}: {reason}", path.display()))
     }
 
-    /// How the program ends with it.
+    /// Exit status of the program for this error.
     pub fn exit_status(&self) -> ExitStatus {
         match self {
             Self::Usage(_) => ExitStatus::Usage,

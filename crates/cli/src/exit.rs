@@ -1,29 +1,31 @@
-//! How the program ends: one table for all verbs.
+//! Exit codes of all verbs.
 
 use std::process::ExitCode;
 
-/// What the exit code tells.
+/// Exit code of the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum ExitStatus {
-    /// All that was asked for was done.
+    /// The result is complete.
     Done = 0,
-    /// It was not; what was written is whole.
+    /// The command failed; files that it wrote are complete.
     Failed = 1,
-    /// The command line asks for something impossible.
+    /// Wrong usage of the command line.
     Usage = 2,
-    /// Done, but something is missing: data of the input, ties between the pieces of a map, or places in a known map.
+    /// Done, but something is missing: data of the input, constraints between the pieces of a map, or the pose of a
+    /// recording in a known map.
     Loss = 3,
-    /// It ran to its end, but nothing of the result can be trusted.
+    /// The command ran to its end, but its whole result is unreliable.
     Untrusted = 4,
-    /// Ended by Ctrl-C, SIGTERM or SIGHUP. What the verb saves then is saved.
+    /// Ended by Ctrl-C, SIGTERM or SIGHUP. Verbs that save partial results have saved them.
     Interrupted = 130,
-    /// Nobody reads the output any more, as with `portolan info … | head`: what a shell makes of SIGPIPE.
+    /// The reader of the output has closed the pipe, as with `portolan info … | head`: the code that a shell returns for
+    /// SIGPIPE.
     ClosedPipe = 141,
 }
 
 impl ExitStatus {
-    /// The table, for help pages.
+    /// Table of exit codes for help pages.
     pub const TABLE: &str = "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done with loss (data of the input, ties \
         between pieces of a map, or places of a recording in a known map are missing); 4 ran to its end, but nothing of the result can be trusted \
         (clouds that do not overlap, a known map that was not found, a start that is refuted, a refinement that was \

@@ -1,4 +1,4 @@
-//! Inputs of verbs: files or pipes, distinguished by what they begin with.
+//! Inputs of verbs: files or pipes, whose format is recognised by their first bytes.
 
 use std::io::ErrorKind;
 use std::path::Path;
@@ -8,15 +8,15 @@ use portolan_pbstream::MAGIC;
 
 use crate::error::CliError;
 
-/// Files that are read whole are not larger, bytes.
+/// Maximum size of files that are read whole, bytes.
 const WHOLE_FILE: u64 = 1 << 30;
 
-/// Opens what is read from start to end, once: a file, a pipe, `-` for the standard input.
+/// Opens an input that is read once from start to end: a file, a pipe, or `-` for the standard input.
 pub fn open_forward(path: &Path) -> Result<Forward, CliError> {
     Forward::open(path).map_err(|source| CliError::File { path: path.to_owned(), source })
 }
 
-/// Looks at the next bytes, which are read again afterwards.
+/// The next bytes, which are read again afterwards.
 pub fn peek<'a>(input: &'a mut Forward, path: &Path, count: usize) -> Result<&'a [u8], CliError> {
     input.peek(count).map_err(|source| CliError::File { path: path.to_owned(), source })
 }
@@ -26,7 +26,7 @@ pub fn is_map(input: &mut Forward, path: &Path) -> Result<bool, CliError> {
     Ok(peek(input, path, MAGIC.len())? == MAGIC)
 }
 
-/// The input if it is a map; none of recordings, which are files or folders.
+/// Opens the input if it is a map; none for a recording, which is a file or folder.
 pub fn open_map(path: &Path) -> Result<Option<Forward>, CliError> {
     if named(path).is_dir() {
         return Ok(None);
@@ -34,16 +34,16 @@ pub fn open_map(path: &Path) -> Result<Option<Forward>, CliError> {
     let mut input = open_forward(path)?;
     let is_map = is_map(&mut input, path)?;
     if !is_map {
-        // What was looked at of a pipe is gone: say so before a recording is looked for in the rest.
+        // A recording is opened again by its path, but the peeked bytes of a pipe are consumed: refuse pipes here.
         must_be_a_file(path)?;
     }
     Ok(is_map.then_some(input))
 }
 
-/// How the lines of pose graphs (g2o) begin.
+/// Beginnings of the lines of pose graphs (g2o).
 pub const GRAPH_TAGS: [&str; 3] = ["VERTEX", "EDGE", "FIX"];
 
-/// Refuses what is known to be no pose graph, and says what it is.
+/// Refuses an input of a known format other than a pose graph; the error names the format.
 pub fn may_be_graph(input: &mut Forward, path: &Path) -> Result<(), CliError> {
     let start = peek(input, path, 16)?;
     let is_graph = GRAPH_TAGS.iter().any(|tag| start.starts_with(tag.as_bytes()));
@@ -53,18 +53,18 @@ pub fn may_be_graph(input: &mut Forward, path: &Path) -> Result<(), CliError> {
     }
 }
 
-/// Refuses pipes where something is read more than once.
+/// Refuses pipes and devices, for inputs that are read more than once.
 pub fn must_be_a_file(path: &Path) -> Result<(), CliError> {
     match regular_file(path) {
         Err(source) if source.kind() == ErrorKind::Unsupported => {
             Err(CliError::File { path: path.to_owned(), source })
         }
-        // Whoever reads it says more.
+        // Other errors are reported by the function that reads the file, with more context.
         _ => Ok(()),
     }
 }
 
-/// A whole file of at most 1 GiB.
+/// Reads a whole file of at most 1 GiB.
 pub fn read_bytes(path: &Path) -> Result<Vec<u8>, CliError> {
     read_all(path, WHOLE_FILE).map_err(|source| CliError::File { path: path.to_owned(), source })
 }

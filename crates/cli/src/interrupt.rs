@@ -1,5 +1,5 @@
-//! Ctrl-C, SIGTERM and SIGHUP. Usually one ends the program at once, and its temporary files are removed. While
-//! something is worth saving ([`Saving`]) the first one asks to stop and save, and the second ends the program.
+//! Handles Ctrl-C, SIGTERM and SIGHUP. Normally a signal ends the program at once, and its temporary files are removed.
+//! While a [`Saving`] exists, the first signal requests to stop and save, and the second one ends the program.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
@@ -9,7 +9,7 @@ use crate::progress::say;
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 static SAVING: AtomicUsize = AtomicUsize::new(0);
 
-/// Begins to heed signals.
+/// Installs the signal handler.
 pub fn watch(quiet: bool) {
     let installed = ctrlc::set_handler(move || {
         let again = INTERRUPTED.swap(true, Ordering::SeqCst);
@@ -18,7 +18,7 @@ pub fn watch(quiet: bool) {
             std::process::exit(ExitStatus::Interrupted as i32);
         }
         if !quiet {
-            // Not on this thread: a stderr that nobody reads must not keep the next signal waiting.
+            // On another thread: a blocked stderr must not delay the handling of the next signal.
             std::thread::spawn(|| say("stopping: what was done is saved; once more to stop at once"));
         }
     });
@@ -28,8 +28,8 @@ pub fn watch(quiet: bool) {
     outlive_limits_of_files();
 }
 
-/// A file that would grow beyond what the system allows a process (`ulimit -f`) is an error of that file, as a full disk is: with a
-/// handler the signal does not end the process.
+/// Handles SIGXFSZ, so that a file that exceeds the file size limit of the process (`ulimit -f`) is a write error, as
+/// with a full disk, and does not end the process.
 #[cfg(unix)]
 fn outlive_limits_of_files() {
     let handled = std::sync::Arc::new(AtomicBool::new(false));
@@ -41,16 +41,16 @@ fn outlive_limits_of_files() {
 #[cfg(not(unix))]
 fn outlive_limits_of_files() {}
 
-/// Whether the user asked to stop.
+/// Whether the user has requested to stop.
 pub fn interrupted() -> bool {
     INTERRUPTED.load(Ordering::SeqCst)
 }
 
-/// As long as this lives, what is done is worth saving: the first signal only sets [`interrupted`].
+/// While this value lives, there are partial results to save: the first signal only sets [`interrupted`].
 pub struct Saving(());
 
 impl Saving {
-    /// Begins now.
+    /// Begins a section with partial results to save.
     pub fn begin() -> Self {
         SAVING.fetch_add(1, Ordering::SeqCst);
         Self(())

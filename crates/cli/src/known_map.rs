@@ -1,4 +1,4 @@
-//! Maps that a recording is added to: naming them, and saying whether the recording was found in them.
+//! Options for maps that a recording is added to, and the message whether the recording was localised in them.
 
 use std::path::PathBuf;
 
@@ -35,7 +35,7 @@ pub struct KnownMapArgs {
 }
 
 impl KnownMapArgs {
-    /// As the job wants them.
+    /// The options as the job takes them.
     pub fn maps(&self) -> KnownMaps {
         KnownMaps {
             files: self.from.clone(),
@@ -45,9 +45,9 @@ impl KnownMapArgs {
     }
 }
 
-/// Whether the recording was found, for people.
+/// Message for the user whether the recording was localised in the known map.
 ///
-/// What was not found is not to be used.
+/// If it was not localised, the result must not be used.
 pub fn sentence(found: &Localisation) -> String {
     let seconds = found.placed_after_seconds.or(found.first_found_after_seconds).unwrap_or(0.0);
     let Consistency { places, confirmed, .. } = found.agreement;

@@ -1,4 +1,4 @@
-//! The program `portolan`: one file per verb in `commands`.
+//! The program `portolan`; `commands` has one file per verb.
 
 mod clouds;
 mod commands;
@@ -19,7 +19,7 @@ use clap::{CommandFactory, FromArgMatches, Parser};
 use error::CliError;
 use exit::ExitStatus;
 
-/// What stands below the verbs.
+/// Text of the help page below the list of verbs.
 fn after_help() -> String {
     let examples = "Try:\n  portolan demo                     a simulated building, mapped and measured\n  \
         portolan info RECORDING           what a recording or a map holds\n  \
@@ -57,7 +57,7 @@ struct GlobalArgs {
 }
 
 impl GlobalArgs {
-    /// As many threads as asked for, or else as there are cores.
+    /// Number of threads: that of `--threads`, else the number of cores.
     fn thread_count(&self) -> usize {
         match self.threads {
             0 => std::thread::available_parallelism().map_or(2, std::num::NonZero::get),
@@ -75,7 +75,7 @@ fn main() -> ExitCode {
         },
         Err(message) => show(&suggest::with_nearest_verb(message)),
     };
-    // Threads that read ahead may still hold some.
+    // Threads that read ahead may still have temporary files.
     portolan_unfinished::remove_all();
     status.into()
 }
@@ -84,12 +84,12 @@ fn run(cli: Cli, found: &clap::ArgMatches) -> ExitStatus {
     start_logging(&cli.global);
     keep_caught_panics_quiet();
     interrupt::watch(cli.global.quiet);
-    // The pool of local SLAM; other work has pools of its own. An error says that there is one already.
+    // The global pool is that of local SLAM; other work has pools of its own. An error means that it exists already.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(cli.global.thread_count()).build_global();
     let done = replaced_inputs::refuse(&command_line(), found)
         .and_then(|()| commands::run(cli.command, &cli.global));
     match done {
-        // Whatever was saved, it is not all that was asked for.
+        // Even if results were saved, they are not complete.
         Ok(_) if interrupt::interrupted() => ExitStatus::Interrupted,
         Ok(outcome) => outcome.into(),
         Err(error) => {
@@ -102,7 +102,8 @@ fn run(cli: Cli, found: &clap::ArgMatches) -> ExitStatus {
     }
 }
 
-/// Panics of libraries that are caught are reported as damage of a file, not as faults of the program.
+/// Suppresses the message of panics in libraries that are caught: they are reported as damage of a file, not as faults
+/// of the program.
 fn keep_caught_panics_quiet() {
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
@@ -112,7 +113,7 @@ fn keep_caught_panics_quiet() {
     }));
 }
 
-/// A help page, the version, or what is wrong with the command line.
+/// Prints a help page, the version, or an error of the command line.
 fn show(message: &clap::Error) -> ExitStatus {
     let shown = message.print();
     match shown {
@@ -122,7 +123,8 @@ fn show(message: &clap::Error) -> ExitStatus {
     }
 }
 
-/// The one place where errors reach the user. A cause that the message says already is not reported again.
+/// Prints an error with its causes; the only place where errors are shown to the user. A cause whose text the message
+/// contains already is not repeated.
 fn report(error: &CliError) {
     let mut told = error.to_string();
     let mut text = format!("error: {told}");
@@ -155,17 +157,18 @@ fn start_logging(global: &GlobalArgs) {
         )
         .without_time()
         .with_target(false)
-        // A stderr that is closed or full ends nothing.
+        // A closed or full stderr must not end the program.
         .log_internal_errors(false)
         .init();
 }
 
-/// The command line as data, from which man page and completions are made, too.
+/// Definition of the command line; man page and completions are generated from it, too.
 fn command_line() -> clap::Command {
     with_negative_numbers(Cli::command())
 }
 
-/// Every option that takes a value takes negative numbers: where they make no sense it says so itself, and what it expects.
+/// Lets every option with a value accept negative numbers. An option that does not allow them reports this itself, with
+/// the values that it expects.
 fn with_negative_numbers(command: clap::Command) -> clap::Command {
     let takes = |argument: clap::Arg| {
         let is_option = !argument.is_positional() && argument.get_action().takes_values();

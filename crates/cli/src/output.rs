@@ -13,16 +13,16 @@ use portolan_pbstream::Finding;
 use crate::error::{CliError, Outcome};
 use crate::progress::say;
 
-/// Prints what was asked for; a line feed follows unless it ends with one.
+/// Prints a result; a line feed is appended unless it ends with one.
 ///
 /// # Errors
-/// A stdout that takes it not: then it was not done.
+/// If stdout cannot be written to: the result was not delivered.
 pub fn print(text: &str) -> Result<(), CliError> {
     let line_feed = if text.ends_with('\n') { "" } else { "\n" };
     print_bytes(format!("{}{line_feed}", without_control(text)).as_bytes())
 }
 
-/// A text without what controls a terminal: names of frames and topics come from files that nobody vouches for.
+/// Escapes control characters of terminals, because names of frames and topics come from untrusted files.
 pub fn without_control(text: &str) -> Cow<'_, str> {
     let controls = |c: char| c.is_control() && !matches!(c, '\n' | '\t' | '\r');
     if !text.contains(controls) {
@@ -32,7 +32,7 @@ pub fn without_control(text: &str) -> Cow<'_, str> {
     Cow::Owned(text.chars().map(shown).collect())
 }
 
-/// Prints what was asked for.
+/// Prints a result as bytes.
 ///
 /// # Errors
 /// As [`print`].
@@ -42,7 +42,7 @@ pub fn print_bytes(bytes: &[u8]) -> Result<(), CliError> {
     Ok(out.flush()?)
 }
 
-/// What a run has come to that wrote a map with this damage of its sources, which is told.
+/// Outcome of a command that wrote a map which has kept this damage of its sources. The damage is reported on stderr.
 pub fn outcome_of_map(output: &Path, damage: &[Finding]) -> Outcome {
     let Some(first) = damage.first() else { return Outcome::Done };
     let count: u64 = damage.iter().map(|finding| finding.count).sum();
@@ -54,7 +54,8 @@ pub fn outcome_of_map(output: &Path, damage: &[Finding]) -> Outcome {
     Outcome::DataLost
 }
 
-/// Prints what was done where the results are files: they are there, whether or not anybody reads this.
+/// Prints a summary of a command whose results are files. If it cannot be printed the command still succeeds, because
+/// the files are written.
 pub fn print_summary(text: &str) {
     match print(text) {
         Err(CliError::Output(error)) if error.kind() != std::io::ErrorKind::BrokenPipe => {
@@ -82,10 +83,10 @@ pub fn write_file(
     }
 }
 
-/// Makes a folder for results; it goes again with the value if nothing came into it.
+/// Creates a folder for results. If it is still empty when the value is dropped, it is removed again.
 ///
 /// # Errors
-/// It cannot be made or written to.
+/// The folder cannot be created or written to.
 pub fn make_folder(path: &Path) -> Result<ResultFolder, CliError> {
     ResultFolder::make(path).map_err(|source| CliError::File { path: path.to_owned(), source })
 }

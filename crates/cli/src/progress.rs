@@ -1,4 +1,4 @@
-//! Progress on stderr: a bar on a terminal, a line now and then elsewhere, nothing when quiet.
+//! Progress on stderr: a bar on a terminal, otherwise a line every 10 s; nothing with `--quiet`.
 
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
@@ -6,10 +6,10 @@ use std::time::{Duration, Instant};
 use crate::output::without_control;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-/// How often a line is printed when stderr is not a terminal.
+/// Minimum interval between lines when stderr is not a terminal.
 const LINE_INTERVAL: Duration = Duration::from_secs(10);
 
-/// Progress of one long piece of work.
+/// Progress of one long operation.
 pub struct Progress {
     bar: Option<ProgressBar>,
     title: String,
@@ -19,7 +19,7 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// Work of `total` units (bytes, seconds, …), shown as a fraction.
+    /// Begins an operation of `total` units (bytes, seconds, …).
     pub fn start(title: &str, total: u64, quiet: bool) -> Self {
         let terminal = std::io::stderr().is_terminal();
         let bar = (!quiet && terminal).then(|| {
@@ -36,7 +36,7 @@ impl Progress {
         Self { bar, title: title.to_owned(), lines: !quiet && !terminal, last_line: now, last_update: now }
     }
 
-    /// Whether it is time to make a new message; making one costs more than asking.
+    /// Whether an update is due. Callers ask before they format a message, which is more expensive.
     pub fn is_due(&mut self) -> bool {
         let due = self.last_update.elapsed() >= Duration::from_millis(100);
         if due {
@@ -45,7 +45,7 @@ impl Progress {
         due && (self.bar.is_some() || self.lines)
     }
 
-    /// Shows how far it is and what is to be said about it.
+    /// Shows the position and a message.
     pub fn update(&mut self, position: u64, total: u64, message: String) {
         if let Some(bar) = &self.bar {
             bar.set_length(total);
@@ -58,7 +58,7 @@ impl Progress {
         }
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn finish(self) {
         if let Some(bar) = self.bar {
             bar.finish_and_clear();
@@ -66,7 +66,7 @@ impl Progress {
     }
 }
 
-/// A line on stderr. One that is closed or full ends nothing: there is nobody to tell.
+/// Prints a line on stderr. Errors are ignored, because a closed or full stderr must not end the program.
 pub fn say(line: &str) {
     let _ = std::io::stderr().lock().write_all(format!("{}\n", without_control(line)).as_bytes());
 }

@@ -1,4 +1,4 @@
-//! Outputs that are inputs, too: a slip of the hand that would cost a map or a recording.
+//! Refuses command lines whose output file is also an input: a typing error would destroy a map or a recording.
 
 use std::path::{Path, PathBuf};
 
@@ -7,16 +7,16 @@ use portolan::job::is_same_file;
 
 use crate::error::CliError;
 
-/// Arguments that name a file to write.
+/// Arguments that are paths of files to write.
 const OUTPUTS: [&str; 6] = ["output", "csv", "histogram", "picture", "save_map", "cloud"];
 
-/// Verbs that make another map or pose graph of one: they may do it in place.
+/// Verbs that modify a map or pose graph; they may write over their input.
 const IN_PLACE: [&str; 4] = ["edit", "optimize", "migrate", "repair"];
 
-/// Refuses a command line that names one file to read and to write.
+/// Refuses a command line that reads and writes the same file.
 ///
 /// # Errors
-/// [`CliError::Usage`] that names the file.
+/// [`CliError::Usage`] with the path of the file.
 pub fn refuse(command: &Command, found: &ArgMatches) -> Result<(), CliError> {
     if let Some((name, found)) = found.subcommand() {
         if IN_PLACE.contains(&name) {

@@ -1,4 +1,4 @@
-//! The verb that was probably meant.
+//! Suggests the nearest verb for a misspelt one.
 
 use clap::CommandFactory;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
@@ -6,10 +6,10 @@ use portolan_config::edit_distance;
 
 use crate::Cli;
 
-/// A verb that is farther off, in letters, was not meant.
+/// Maximum edit distance of suggested verbs, letters.
 const FAR: usize = 2;
 
-/// A misspelt verb with the nearest ones instead of those that share most letters.
+/// For an unknown verb, replaces clap's suggestions by the verbs with the smallest edit distance.
 pub fn with_nearest_verb(mut error: clap::Error) -> clap::Error {
     let wrong = match error.get(ContextKind::InvalidSubcommand) {
         Some(ContextValue::String(wrong)) if error.kind() == ErrorKind::InvalidSubcommand => wrong.clone(),

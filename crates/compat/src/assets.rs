@@ -1,4 +1,5 @@
-//! `cartographer_assets_writer`: the points of recordings, placed by a map, through a pipeline of stages.
+//! `cartographer_assets_writer`: transforms the points of recordings by the trajectories of a map and sends them
+//! through a pipeline of stages.
 
 use std::path::{Path, PathBuf};
 
@@ -27,7 +28,7 @@ const KNOWN: KnownFlags = KnownFlags {
             -bag_filenames BAG[,BAG...] -pose_graph_filename MAP [-urdf_filename FILE] [-output_file_prefix PREFIX]",
 };
 
-/// Runs a pipeline over the recordings of a map, one for each of its trajectories.
+/// Runs a pipeline over the recordings of a map, one recording for each of its trajectories.
 ///
 /// # Errors
 /// If flags, the configuration or the map are wrong, or a file cannot be read or written.
@@ -85,7 +86,7 @@ fn failed(error: impl std::fmt::Display) -> CompatError {
     CompatError::Failed(error.to_string())
 }
 
-/// The stages of the configuration, and the frame whose poses the map has.
+/// The pipeline of the configuration, and the tracking frame.
 fn read_pipeline(
     flags: &Flags,
     context: &PipelineContext,
@@ -113,7 +114,7 @@ fn ingest_options(flags: &Flags, tracking_frame: String) -> Result<IngestOptions
         description,
         use_recorded_transforms: flags.is_on("use_bag_transforms"),
         with_intensities: true,
-        // Only range sensors are wanted.
+        // Only range sensors are read.
         use_imu: Some(false),
         use_odometry: Some(false),
         ..IngestOptions::default()

@@ -1,4 +1,5 @@
-//! `cartographer_rosbag_validate` and `cartographer_dev_trajectory_comparison`.
+//! `cartographer_rosbag_validate` checks a bag; `cartographer_dev_trajectory_comparison` compares a map with the
+//! transforms of a bag.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -13,7 +14,7 @@ use portolan_recording::{Message, Recording, open};
 use crate::flags::{Flags, KnownFlags};
 use crate::{CompatError, Completeness, Console, write_file};
 
-/// What is wrong with a bag.
+/// Prints the faults of a bag.
 ///
 /// # Errors
 /// If flags are wrong, the bag cannot be read or has errors, or a table cannot be written.
@@ -39,8 +40,8 @@ pub fn rosbag_validate(arguments: &[String], console: &mut dyn Console) -> Resul
     }
 }
 
-/// Writes `timing_<frame>.csv` for every frame: the number of each message, and its times of recording and
-/// of measurement, Unix nanoseconds.
+/// Writes `timing_<frame>.csv` for every frame: number of each message, its time of recording and its header stamp,
+/// Unix nanoseconds.
 fn dump_timing(recording: &dyn Recording, console: &mut dyn Console) -> Result<(), CompatError> {
     let mut tables: BTreeMap<Arc<str>, Vec<[i64; 2]>> = BTreeMap::new();
     let mut reader = recording.read(&|_| true)?;
@@ -59,7 +60,7 @@ fn dump_timing(recording: &dyn Recording, console: &mut dyn Console) -> Result<(
         }
     }
     for (frame, rows) in tables {
-        // A frame must not lead out of the folder.
+        // The name of a frame must not contain a path to another folder.
         let path = PathBuf::from(format!("timing_{}.csv", frame.replace(['/', '\\'], "_")));
         write_file(&path, |out| {
             writeln!(out, "# packet index\tbag time, ns\theader stamp, ns")?;
@@ -70,7 +71,8 @@ fn dump_timing(recording: &dyn Recording, console: &mut dyn Console) -> Result<(
     Ok(())
 }
 
-/// Distances between the last trajectory of a map and the transforms of a bag.
+/// Prints the distributions of translation and rotation between the last trajectory of a map and the transforms of a
+/// bag.
 ///
 /// # Errors
 /// If flags are wrong, map or bag cannot be read, or the bag has no such transforms.
@@ -129,7 +131,7 @@ fn deciles(mut values: Vec<f64>) -> String {
     (0..=10).map(|p| format!("  {}%: {}\n", 10 * p, at(p))).collect()
 }
 
-/// The pose of the child frame at each stamp of a transform to it.
+/// Pose of the child frame in the parent frame, at each stamp of a transform to the child frame.
 fn tf_poses(path: &PathBuf, flags: &Flags) -> Result<Vec<(Time, Rigid3)>, CompatError> {
     let (parent, child) = (flags.value("tf_parent_frame"), flags.value("tf_child_frame"));
     let recording = open(path)?;

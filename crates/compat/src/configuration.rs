@@ -1,4 +1,4 @@
-//! `cartographer_print_configuration`.
+//! `cartographer_print_configuration`: prints a configuration with all its includes.
 
 use std::path::{Path, PathBuf};
 

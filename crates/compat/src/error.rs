@@ -1,4 +1,4 @@
-//! How a program ends that could not do what it was asked.
+//! Errors of programs.
 
 use std::fmt::Display;
 use std::io;
@@ -12,24 +12,24 @@ use portolan_recording::RecordingError;
 
 use crate::flags::FlagError;
 
-/// A program that could not do what it was asked.
+/// Error of a program that failed.
 #[derive(Debug, thiserror::Error)]
 pub enum CompatError {
-    /// Flags that are wrong.
+    /// Wrong flags.
     #[error(transparent)]
     Usage(#[from] FlagError),
-    /// Anything else, as a sentence that says what to do.
+    /// Any other error, as a sentence.
     #[error("{0}")]
     Failed(String),
     /// A file could not be read or written.
     #[error("{}: {source}", path.display())]
     File {
-        /// Which.
+        /// The file.
         path: PathBuf,
-        /// Why.
+        /// Error of the system.
         source: io::Error,
     },
-    /// A recording.
+    /// Error of a recording.
     #[error(transparent)]
     Recording(#[from] RecordingError),
     /// Results could not be printed.
@@ -38,7 +38,7 @@ pub enum CompatError {
 }
 
 impl CompatError {
-    /// A file that cannot be used, and why.
+    /// Error of a file that cannot be used, with the reason.
     pub(crate) fn in_file(path: &Path, reason: impl Display) -> Self {
         Self::Failed(format!("{}: {reason}", path.display()))
     }

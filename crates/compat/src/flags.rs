@@ -1,42 +1,42 @@
-//! Flags of command lines as Cartographer's programs take them, in the manner of gflags.
+//! Parser of command-line flags in the syntax of gflags, as used by Cartographer's programs.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-/// Wrong usage: what is wrong, and how the program is used.
+/// Wrong usage: the fault and the usage of the program.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("{0}")]
 pub struct FlagError(pub String);
 
-/// What the flags of a program are.
+/// Flags that a program accepts.
 #[derive(Clone, Copy, Debug)]
 pub struct KnownFlags {
     /// Flags with a value, and their defaults.
     pub values: &'static [(&'static str, &'static str)],
-    /// Flags that are on or off, and their defaults.
+    /// Boolean flags, and their defaults.
     pub switches: &'static [(&'static str, bool)],
-    /// Shown when something is wrong.
+    /// Usage of the program, shown after errors.
     pub usage: &'static str,
 }
 
-/// Flags as given.
+/// Values of the flags: those given, else the defaults.
 #[derive(Clone, Debug)]
 pub struct Flags {
     values: BTreeMap<&'static str, String>,
     switches: BTreeMap<&'static str, bool>,
     usage: &'static str,
-    /// What is no flag.
+    /// Arguments that are not flags.
     pub positional: Vec<String>,
 }
 
 impl Flags {
-    /// Reads `-flag value`, `--flag=value`, `--switch`, `--switch=false` and `--noswitch`. After `--` all is
+    /// Reads `-flag value`, `--flag=value`, `--switch`, `--switch=false` and `--noswitch`. All arguments after `--` are
     /// positional.
     ///
     /// # Errors
-    /// If a flag is not known, as in Cartographer, lacks its value, or is a switch with another one than true and false.
+    /// If a flag is unknown (as in Cartographer), lacks its value, or is a switch with a value that is not boolean.
     pub fn parse(arguments: &[String], known: &KnownFlags) -> Result<Self, FlagError> {
         let mut flags = Self {
             values: known.values.iter().map(|(name, value)| (*name, (*value).to_owned())).collect(),
@@ -89,7 +89,7 @@ impl Flags {
             *switch = false;
             return Ok(());
         }
-        // Flags of the log library are accepted.
+        // Flags of the logging library are accepted and ignored.
         if ["logtostderr", "alsologtostderr", "stderrthreshold", "v", "minloglevel", "colorlogtostderr"]
             .contains(&name.as_str())
         {
@@ -98,12 +98,12 @@ impl Flags {
         Err(self.wrong(&format!("unknown command line flag '{name}'")))
     }
 
-    /// Wrong usage: what is wrong, and how it is done.
+    /// Error of wrong usage, with the usage of the program.
     pub fn wrong(&self, what: &str) -> FlagError {
         FlagError(format!("{what}\n{}", self.usage))
     }
 
-    /// The value of a flag with one.
+    /// The value of a flag that takes one.
     pub fn value(&self, name: &str) -> &str {
         self.values.get(name).map_or("", String::as_str)
     }
@@ -117,7 +117,7 @@ impl Flags {
         if value.is_empty() { Err(self.wrong(&format!("-{name} is missing."))) } else { Ok(value) }
     }
 
-    /// A file that must be given.
+    /// The path of a file that must be given.
     ///
     /// # Errors
     /// If it is empty.
@@ -125,21 +125,21 @@ impl Flags {
         self.required(name).map(|value| Path::new(value).to_owned())
     }
 
-    /// A number.
+    /// The value of a flag as a number.
     ///
     /// # Errors
-    /// If it is none.
+    /// If it is not a number.
     pub fn number(&self, name: &str) -> Result<f64, FlagError> {
         let value = self.value(name);
         value.parse().map_err(|_| self.wrong(&format!("illegal value '{value}' specified for flag '{name}'")))
     }
 
-    /// Whether a flag is on.
+    /// Whether a boolean flag is on.
     pub fn is_on(&self, name: &str) -> bool {
         self.switches.get(name).copied().unwrap_or(false)
     }
 
-    /// A list separated by commas.
+    /// The value of a flag as a list separated by commas.
     pub fn list(&self, name: &str) -> Vec<String> {
         self.value(name).split(',').filter(|part| !part.is_empty()).map(str::to_owned).collect()
     }

@@ -25,31 +25,31 @@ pub use pbstream::pbstream;
 pub use ros_map::pbstream_to_ros_map;
 pub use trajectories::pbstream_trajectories_to_rosbag;
 
-/// Where a program prints, and where it tells what it does.
+/// Output of a program: results, and messages about its progress.
 pub trait Console {
-    /// Prints what was asked for; a line feed follows unless it ends with one.
+    /// Prints a result; a line feed is appended unless it ends with one.
     ///
     /// # Errors
     /// If nothing can be printed.
     fn print(&mut self, text: &str) -> std::io::Result<()>;
 
-    /// Says what is done.
+    /// Prints a message about progress.
     fn info(&mut self, text: &str);
 
-    /// Says what is wrong.
+    /// Prints a warning.
     fn warning(&mut self, text: &str);
 }
 
-/// A program that ran to its end.
+/// Outcome of a program that ran to its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Completeness {
-    /// It did what it was asked.
+    /// All input was used.
     Complete,
     /// Some of the input could not be used.
     WithLoss,
 }
 
-/// What a program does with its arguments.
+/// Main function of a program.
 pub type Run = fn(&[String], &mut dyn Console) -> Result<Completeness, CompatError>;
 
 /// Writes a file that appears under its name only when it is complete.

@@ -1,4 +1,4 @@
-//! `cartographer_compute_relations_metrics`.
+//! `cartographer_compute_relations_metrics`: compares trajectory 0 of a map with relations.
 
 use std::path::PathBuf;
 
@@ -9,10 +9,10 @@ use portolan_input::read_all;
 use crate::flags::{Flags, KnownFlags};
 use crate::{CompatError, Completeness, Console, write_file};
 
-/// Relations are at most so many bytes.
+/// Maximum size of a file of relations, bytes.
 const LARGEST: u64 = 1 << 30;
 
-/// A map judged by relations.
+/// Prints the errors of a map against relations.
 ///
 /// # Errors
 /// If flags are wrong, map or relations cannot be read, or the table cannot be written.

@@ -1,4 +1,4 @@
-//! `cartographer_pbstream`.
+//! `cartographer_pbstream`: prints a summary of maps, and migrates maps.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use crate::{CompatError, Completeness, Console};
 const USAGE: &str = "Swiss Army knife for pbstreams.\n\nTOOLS\n  info - Prints summary of pbstream.\n  migrate - \
                      Migrates pbstream to the new submap format.";
 
-/// Tells of maps, and migrates them.
+/// Runs the tool `info` or `migrate`.
 ///
 /// # Errors
 /// If flags are wrong, or a map cannot be read, is damaged, or cannot be written.
@@ -88,7 +88,7 @@ fn run_migrate(arguments: &[String], console: &mut dyn Console) -> Result<Comple
     Ok(Completeness::Complete)
 }
 
-/// Cartographer ends with code 1 also on wrong usage.
+/// Turns wrong usage into a failure: Cartographer's program exits with code 1 in both cases.
 fn as_failure(error: FlagError) -> CompatError {
     CompatError::Failed(error.to_string())
 }

@@ -1,4 +1,4 @@
-//! `cartographer_pbstream_to_ros_map`.
+//! `cartographer_pbstream_to_ros_map`: writes a map as `.pgm` and `.yaml` for ROS.
 
 use std::path::Path;
 

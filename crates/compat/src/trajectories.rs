@@ -1,4 +1,4 @@
-//! `cartographer_dev_pbstream_trajectories_to_rosbag`: the nodes of a map as transforms in a bag.
+//! `cartographer_dev_pbstream_trajectories_to_rosbag`: writes the nodes of a map as transforms to a bag.
 
 use std::sync::Arc;
 
@@ -32,7 +32,7 @@ pub fn pbstream_trajectories_to_rosbag(
     let (input, output) = (flags.path("input")?, flags.path("output")?);
     let parent: Arc<str> = flags.value("parent_frame").into();
     let graph = read_pose_graph(&input)?;
-    // A name of any ending is a ROS 1 bag, as in Cartographer.
+    // A path with an unknown ending becomes a ROS 1 bag, as in Cartographer.
     let format = RecordingFormat::from_path(&output);
     let format = format.unwrap_or(RecordingFormat::Ros1Bag(BagCompression::default()));
     let mut bag = create(&output, Some(format))?;

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-/// The values a number may take. NaN is outside of all bounds; infinite values are outside unless
+/// The values that a number may have. NaN is outside all bounds. Infinite values are outside unless
 /// [`Bounds::or_infinite`] was called.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
@@ -45,12 +45,12 @@ impl Bounds {
         Self { min, max, min_open: true, max_open: true, ..Self::ANY }
     }
 
-    /// The same, and `math.huge` (or `-math.huge` where there is no lower bound) as well.
+    /// The same bounds; `math.huge` (or `-math.huge` if there is no lower bound) is allowed, too.
     pub const fn or_infinite(self) -> Self {
         Self { infinite: true, ..self }
     }
 
-    /// Whether a value lies within.
+    /// Whether a value is within the bounds.
     pub fn contain(&self, value: f64) -> bool {
         let above = if self.min_open { value > self.min } else { value >= self.min };
         let below = if self.max_open { value < self.max } else { value <= self.max };

@@ -1,4 +1,4 @@
-//! All options of a tree with their paths, and finding one by a full or short path.
+//! All options of a tree with their paths, and search for one by a full or short path.
 
 use std::sync::LazyLock;
 
@@ -11,48 +11,48 @@ use crate::options::Options;
 use crate::value::Value;
 use crate::without_effect::without_effect;
 
-/// What is known about one option or table.
+/// Description of one option or table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OptionDoc {
     /// Full dotted path, `map_builder.pose_graph.optimize_every_n_nodes`.
     pub path: String,
     /// Type in words; `table` for tables.
     pub type_name: String,
-    /// Unit, empty for what has none.
+    /// Unit, empty if there is none.
     pub unit: &'static str,
-    /// Default as Lua text, `absent` for what is not there by default.
+    /// Default as Lua text; `absent` if the table is absent by default.
     pub default: String,
     /// Bounds of numbers.
     pub bounds: Bounds,
-    /// What it does and when to raise it; why it has no effect, if it has none.
+    /// What the option does and when to raise it; if it has no effect, why.
     pub doc: String,
-    /// Why it is accepted without effect; none if it has one.
+    /// Why it is accepted without effect; `None` if it has one.
     pub without_effect: Option<&'static str>,
     /// Whether it is a table of options.
     pub is_table: bool,
 }
 
 impl OptionDoc {
-    /// Whether the value is a number, so that unit and bounds say something.
+    /// Whether the value is a number, so that unit and bounds are meaningful.
     pub fn is_number(&self) -> bool {
         self.type_name == "number" || self.type_name == "integer"
     }
 }
 
-/// One stop of a walk over a tree of options.
+/// One node of a walk over a tree of options.
 pub(crate) struct Visit<'a> {
     /// Full dotted path.
     pub path: &'a str,
-    /// What is written about it.
+    /// Its description.
     pub spec: &'a crate::node::OptionSpec,
     /// The option or table.
     pub node: NodeRef<'a>,
-    /// False within a table that is absent; the values are then the defaults it would have.
+    /// Whether the node exists. False within a table that is absent; the values are then its defaults.
     pub present: bool,
 }
 
-/// Visits every table and option in the order they are defined, tables before their contents. Absent
-/// tables are visited too, with the defaults they would have.
+/// Visits every table and option in the order of their definition, tables before their contents. Absent
+/// tables are visited, too, with their defaults.
 pub(crate) fn walk(section: &dyn Section, visitor: &mut dyn FnMut(&Visit<'_>)) {
     walk_section(section, "", true, visitor);
 }
@@ -94,7 +94,7 @@ pub fn catalogue() -> &'static [OptionDoc] {
     &CATALOGUE
 }
 
-/// The catalogue of any tree; its values are taken as the defaults.
+/// The catalogue of any tree; its values are the defaults.
 pub(crate) fn catalogue_of(section: &dyn Section) -> Vec<OptionDoc> {
     let mut docs = Vec::new();
     walk(section, &mut |visit| {
@@ -128,23 +128,23 @@ fn documentation(visit: &Visit<'_>) -> String {
     }
 }
 
-/// Doc comment lines as one paragraph.
+/// The lines of a doc comment as one paragraph.
 pub(crate) fn tidy(doc: &str) -> String {
     doc.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// What is known about an option given by its full path or by an end of it that fits only one; upper and
-/// lower case are the same, so that `POSE_GRAPH.constraint_builder.min_score` works as well.
+/// Description of the option given by its full path or by an end of it that fits only one option. Case is
+/// ignored, so that `POSE_GRAPH.constraint_builder.min_score` works as well.
 pub fn explain(path: &str) -> Option<OptionDoc> {
     resolve(path).ok().cloned()
 }
 
-/// What is known about every option whose path ends like this.
+/// Description of every option whose path ends like this.
 pub fn explain_all(path: &str) -> Vec<OptionDoc> {
     candidates(&normalise(path)).into_iter().cloned().collect()
 }
 
-/// The one option or table that a path means.
+/// The one option or table that a path refers to.
 pub(crate) fn resolve(path: &str) -> Result<&'static OptionDoc, ConfigError> {
     let wanted = normalise(path);
     let found = candidates(&wanted);
@@ -162,8 +162,8 @@ pub(crate) fn resolve(path: &str) -> Result<&'static OptionDoc, ConfigError> {
     }
 }
 
-/// Lower case, without spaces, without the names under which files keep the whole (`options.`) and the
-/// top-level keys (`bridge.`).
+/// The path in lower case, without spaces, without the prefix of the whole table in files (`options.`) and
+/// without that of the top-level keys (`bridge.`).
 fn normalise(path: &str) -> String {
     let lower = path.trim().to_lowercase();
     let inner = lower.strip_prefix("options.").unwrap_or(&lower);
@@ -181,8 +181,8 @@ fn ends_with_segments(path: &str, end: &str) -> bool {
     path.strip_suffix(end).is_some_and(|rest| !end.is_empty() && (rest.is_empty() || rest.ends_with('.')))
 }
 
-/// The known path that a misspelt one probably means: the nearest among all ends of the same number of
-/// segments; failing that, a path that has the same last key elsewhere.
+/// The known path that a misspelt one probably means: the nearest among all path ends with the same number of
+/// segments; if there is none, a path that has the same last key elsewhere.
 pub(crate) fn nearest_path(wanted: &str) -> Option<String> {
     let segments = wanted.split('.').count();
     let ends: Vec<&str> = catalogue().iter().filter_map(|doc| last_segments(&doc.path, segments)).collect();
@@ -218,7 +218,7 @@ pub struct Entry {
     pub path: String,
     /// The value.
     pub value: Value,
-    /// Unit, empty for what has none.
+    /// Unit, empty if there is none.
     pub unit: &'static str,
 }
 

@@ -1,4 +1,4 @@
-//! Checks: every value within its bounds, and options that must fit each other.
+//! Checks the bounds of all values, and options that must be consistent with each other.
 
 use portolan_geometry::Dimension;
 
@@ -10,20 +10,20 @@ use crate::options::{
 };
 use crate::value::Value;
 
-/// What is wrong with a tree, divided by whether it matters.
+/// Errors in a tree, separated by whether they matter.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Findings {
-    /// Faults that make the configuration unusable.
+    /// Errors that make the configuration unusable.
     pub errors: Vec<ConfigError>,
-    /// Faults in tables that the chosen dimension does not use.
+    /// Errors in tables that the chosen dimension does not use.
     pub unused: Vec<ConfigError>,
 }
 
 impl MapBuilderOptions {
-    /// The dimension that is switched on; exactly one must be.
+    /// The selected dimension; exactly one must be selected.
     ///
     /// # Errors
-    /// If both are switched on, or none is.
+    /// If both are selected, or none is.
     pub fn dimension(&self) -> Result<Dimension, ConfigError> {
         match (self.use_trajectory_builder_2d, self.use_trajectory_builder_3d) {
             (true, false) => Ok(Dimension::TwoD),
@@ -44,11 +44,11 @@ impl MapBuilderOptions {
 }
 
 impl Options {
-    /// Checks every value against its bounds and the options that must fit each other. Tables of the
-    /// dimension that is not in use are not checked.
+    /// Checks every value against its bounds, and the consistency of the options. Tables of the dimension
+    /// that is not in use are not checked.
     ///
     /// # Errors
-    /// All values that do not fit.
+    /// All errors.
     pub fn validate(&self) -> Result<(), Vec<ConfigError>> {
         let errors = self.findings().errors;
         if errors.is_empty() { Ok(()) } else { Err(errors) }
@@ -120,7 +120,7 @@ impl Options {
     }
 }
 
-/// A band from a least to a largest value must not be empty.
+/// The minimum of a range must be below its maximum.
 fn check_order(errors: &mut Vec<ConfigError>, table: &str, what: &str, min: f32, max: f32) {
     if min < max || min.is_nan() || max.is_nan() {
         return;
@@ -132,10 +132,10 @@ fn check_order(errors: &mut Vec<ConfigError>, table: &str, what: &str, min: f32,
 }
 
 impl MapBuilderServerOptions {
-    /// Checks every value against its bounds and the options that must fit each other.
+    /// Checks every value against its bounds, and the consistency of the options.
     ///
     /// # Errors
-    /// All values that do not fit.
+    /// All errors.
     pub fn validate(&self) -> Result<(), Vec<ConfigError>> {
         let errors = self.findings().errors;
         if errors.is_empty() { Ok(()) } else { Err(errors) }
@@ -169,7 +169,7 @@ fn bounds_findings(section: &dyn Section, dimension: Option<Dimension>) -> Findi
     findings
 }
 
-/// Whether a dimension reads an option, by the tables it stands in.
+/// Whether a dimension uses an option, by the tables that contain it.
 fn is_used(path: &str, dimension: Dimension) -> bool {
     const MATCHERS_2D: [&str; 2] = ["fast_correlative_scan_matcher", "ceres_scan_matcher"];
     let in_constraints = path.contains(".constraint_builder.");

@@ -1,4 +1,4 @@
-//! The macro from which everything about an option comes.
+//! The macros that define options.
 //!
 //! One entry of [`options!`](crate::define) is the only place where an option is written:
 //!
@@ -13,12 +13,12 @@
 //! }
 //! ```
 //!
-//! From the entry come the struct field and its rustdoc, the default, the bounds check, the line of the
-//! reference page, `explain`, the dotted path for `get` and `set`, reading from Lua and JSON, writing
-//! Lua, the listing and the fingerprint. A nested table is an entry without unit and bounds; a table
-//! that may be absent has the type `Option<…>`. `=> optional` behind an entry says that a Lua file may
-//! leave the key out without a warning; `=> flattened` that the keys of the nested table stand directly
-//! in the enclosing one.
+//! The entry generates the struct field and its rustdoc, the default, the bounds check, the line of the
+//! reference page, `explain`, the dotted path for `get` and `set`, reading from Lua and JSON, writing Lua,
+//! the listing and the fingerprint. A nested table is an entry without unit and bounds; a table that may be
+//! absent has the type `Option<…>`. `=> optional` after an entry means that a Lua file may leave the key out
+//! without a warning; `=> flattened` means that the keys of the nested table are directly in the enclosing
+//! one.
 
 /// Defines a table of options; see the [module documentation](crate::define).
 macro_rules! options {
@@ -101,7 +101,7 @@ macro_rules! mark {
     };
 }
 
-/// Defines an option with a fixed set of names, written in Lua as strings.
+/// Defines an option with a fixed set of names, which are strings in Lua.
 macro_rules! choices {
     (
         $(#[doc = $doc:literal])+
@@ -112,10 +112,10 @@ macro_rules! choices {
         pub enum $name { $( $(#[doc = $variant_doc])+ $variant, )+ }
 
         impl $name {
-            /// Every name that may stand in a configuration.
+            /// All names that a configuration may contain.
             pub const NAMES: &'static [&'static str] = &[$($text),+];
 
-            /// The name written in a configuration.
+            /// The name in a configuration.
             pub fn name(self) -> &'static str {
                 match self { $(Self::$variant => $text,)+ }
             }

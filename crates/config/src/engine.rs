@@ -1,4 +1,4 @@
-//! What scans are matched to.
+//! The engine of scan matching: planes or grids.
 
 use std::fmt;
 
@@ -6,17 +6,17 @@ use portolan_geometry::Dimension;
 
 use crate::options::Options;
 
-/// Range data are gathered to scans of about this long, seconds, where scans are matched to planes: one sweep of most
-/// lidars.
+/// Duration of the scans to which range data are gathered if scans are matched to planes, seconds: one sweep
+/// of most lidars.
 const PLANES_SCAN_DURATION: f64 = 0.1;
 
-/// What scans are matched to. In 2D there is one engine, grids.
+/// The map representation to which scans are matched. In 2D there is only one engine, grids.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Engine {
-    /// 3D: planes in voxels that halve until what they hold is flat; biases of the IMU are estimated.
+    /// 3D: planes in voxels that are halved until their contents are flat; biases of the IMU are estimated.
     #[default]
     Planes,
-    /// Grids of occupancy, as Cartographer.
+    /// Occupancy grids, as in Cartographer.
     Grids,
 }
 
@@ -30,13 +30,14 @@ impl fmt::Display for Engine {
 }
 
 impl Options {
-    /// What scans are matched to.
+    /// The engine of the options.
     pub fn engine(&self) -> Engine {
         let is_3d = self.map_builder.dimension() == Ok(Dimension::ThreeD);
         if is_3d && self.portolan.match_surfaces { Engine::Planes } else { Engine::Grids }
     }
 
-    /// Chooses the engine of 3D. With planes, scans are gathered to whole sweeps unless the options have a duration.
+    /// Sets the engine of 3D. With planes, scans are gathered to whole sweeps unless the options contain a
+    /// duration.
     pub fn set_engine(&mut self, engine: Engine) {
         self.portolan.match_surfaces = engine == Engine::Planes;
         if engine == Engine::Grids {

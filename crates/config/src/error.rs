@@ -1,13 +1,13 @@
-//! What can be wrong with a configuration.
+//! Errors and warnings of configurations.
 
 use std::path::PathBuf;
 
 use crate::bounds::Bounds;
 
-/// Where in a Lua file something is written.
+/// Position in a Lua file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Place {
-    /// File as it was named or found.
+    /// The file, by the name it was given or found by.
     pub file: String,
     /// Line, from 1, if known.
     pub line: Option<usize>,
@@ -30,10 +30,10 @@ pub enum ConfigError {
     Unreadable {
         /// The file.
         path: PathBuf,
-        /// The words of the operating system.
+        /// Message of the operating system.
         reason: String,
     },
-    /// No directory has the file, nor is there a built-in one.
+    /// A file was found neither in the directories nor among the built-in ones.
     #[error(
         "{}File '{name}' was not found. Searched: {}; {}",
         at(place),
@@ -45,28 +45,28 @@ pub enum ConfigError {
         name: String,
         /// The directories searched.
         searched: Vec<String>,
-        /// Where it was asked for.
+        /// Position of the call.
         place: Option<Place>,
     },
-    /// The interpreter refused the file or failed while running it.
+    /// The interpreter could not load or run the file.
     #[error("{}{message}{}", at(place), hint.as_ref().map(|hint| format!(" ({hint})")).unwrap_or_default())]
     Lua {
-        /// Where, if the interpreter said so.
+        /// Position, if the interpreter gave it.
         place: Option<Place>,
         /// Its message.
         message: String,
-        /// What probably helps.
+        /// Advice.
         hint: Option<String>,
     },
-    /// The file ran too long or took too much memory.
+    /// The file exceeded the limit of time or memory.
     #[error(
         "{}the configuration was stopped: {limit}; it should only compute values and return a table",
         at(place)
     )]
     Limit {
-        /// Where it was, if known.
+        /// Position at that time, if known.
         place: Option<Place>,
-        /// Which limit was reached.
+        /// The limit that was exceeded.
         limit: String,
     },
     /// The file did not return a table.
@@ -76,17 +76,17 @@ pub enum ConfigError {
     NotATable {
         /// The file.
         file: String,
-        /// What it returned.
+        /// Type of the returned value.
         found: String,
     },
-    /// The returned table cannot be taken apart.
+    /// The returned table cannot be read.
     #[error("{file}: {path}: {reason}")]
     Unusable {
         /// The file.
         file: String,
         /// Key path within the returned table.
         path: String,
-        /// Why.
+        /// The reason.
         reason: String,
     },
     /// A key that no option has.
@@ -96,7 +96,7 @@ pub enum ConfigError {
         path: String,
         /// The nearest known path.
         nearest: Option<String>,
-        /// Where it is written.
+        /// Position of the key.
         place: Option<Place>,
     },
     /// A short path that fits several options.
@@ -107,26 +107,26 @@ pub enum ConfigError {
         /// The full paths it fits.
         candidates: Vec<String>,
     },
-    /// A table without which the rest makes no sense is missing.
+    /// A required table is missing.
     #[error("{file}: Key '{key}' not in dictionary: {advice}")]
     MissingTable {
         /// The file.
         file: String,
         /// The missing key.
         key: String,
-        /// What the file seems to be.
+        /// What kind of file this seems to be.
         advice: String,
     },
-    /// A value of another type.
+    /// A value of the wrong type.
     #[error("{}`{path}` must be {expected}, but is {found}", at(place))]
     WrongType {
         /// Full path of the option.
         path: String,
         /// Type of the option.
         expected: String,
-        /// What was given.
+        /// Type that was given.
         found: String,
-        /// Where it is written.
+        /// Position of the value.
         place: Option<Place>,
     },
     /// A value out of bounds.
@@ -136,20 +136,20 @@ pub enum ConfigError {
         path: String,
         /// The value.
         value: f64,
-        /// What is allowed.
+        /// The allowed values.
         bounds: Bounds,
-        /// Where it is written.
+        /// Position of the value.
         place: Option<Place>,
     },
-    /// Options that do not fit each other.
+    /// Options that contradict each other.
     #[error("{message}")]
     Inconsistent {
-        /// The options concerned.
+        /// Paths of the options.
         paths: Vec<String>,
-        /// What is wrong.
+        /// The contradiction.
         message: String,
     },
-    /// A setting that is no `path=value`.
+    /// A setting that is not `path=value`.
     #[error("`{text}` is no setting; write it as path=value, for example constraint_builder.min_score=0.6")]
     NoSetting {
         /// The setting as given.
@@ -179,10 +179,10 @@ pub enum ConfigError {
         /// How often it was read.
         times: u32,
     },
-    /// Text that is no JSON.
+    /// Text that is not JSON.
     #[error("no valid JSON: {reason}")]
     Json {
-        /// Words of the parser.
+        /// Message of the parser.
         reason: String,
     },
     /// Several errors of one file, in the order of the options.
@@ -194,7 +194,7 @@ pub enum ConfigError {
 }
 
 impl ConfigError {
-    /// Nothing for no errors, the error itself for one, [`ConfigError::Several`] for more.
+    /// `Ok` for no errors, the error itself for one, [`ConfigError::Several`] for more.
     pub fn combine(mut errors: Vec<ConfigError>) -> Result<(), ConfigError> {
         match errors.len() {
             0 => Ok(()),
@@ -204,7 +204,7 @@ impl ConfigError {
     }
 }
 
-/// The built-in file that was probably meant, or all of them.
+/// The built-in file that was probably meant, or the list of all.
 fn built_in_hint(name: &str) -> String {
     let names = crate::lua::built_in_names();
     match crate::nearest::nearest(name, names.iter().copied()) {
@@ -217,10 +217,10 @@ fn at(place: &Option<Place>) -> String {
     place.as_ref().map(|place| format!("{place}: ")).unwrap_or_default()
 }
 
-/// Something in a configuration that was survived and should be reported.
+/// A problem in a configuration that does not prevent its use and should be reported.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ConfigWarning {
-    /// A key Cartographer demands is missing.
+    /// A key that Cartographer requires is missing.
     #[error("{file}: `{path}` is missing, its default is used: {default}")]
     DefaultUsed {
         /// The main file.
@@ -235,15 +235,15 @@ pub enum ConfigWarning {
     OtherVersion {
         /// Full path as written.
         path: String,
-        /// What was made of it.
+        /// What the key was converted to.
         outcome: String,
-        /// Where it is written.
+        /// Position of the key.
         place: Option<Place>,
     },
-    /// A fault that was only to be warned about.
+    /// An error that was downgraded to a warning.
     #[error("ignored: {error}")]
     Ignored {
-        /// The fault.
+        /// The error.
         error: ConfigError,
     },
     /// A number with a fraction where an integer is read.
@@ -255,7 +255,7 @@ pub enum ConfigWarning {
         value: f64,
         /// The value used.
         integer: i32,
-        /// Where it is written.
+        /// Position of the value.
         place: Option<Place>,
     },
     /// Values without a key in a table of options.
@@ -265,7 +265,7 @@ pub enum ConfigWarning {
         file: String,
         /// Full path of the table.
         path: String,
-        /// How many.
+        /// Number of values.
         count: usize,
     },
 }

@@ -1,4 +1,4 @@
-//! Options as JSON.
+//! Reads and writes options as JSON.
 
 use serde_json::Value as Json;
 
@@ -10,7 +10,7 @@ impl Options {
     /// Indented JSON of all options; tables that are absent are left out. Infinities are the strings
     /// `"math.huge"` and `"-math.huge"`.
     pub fn to_json(&self) -> String {
-        // Values have string keys and finite numbers only: writing them cannot fail.
+        // Values contain only string keys and finite numbers, so writing them cannot fail.
         serde_json::to_string_pretty(&self.to_value()).unwrap_or_default()
     }
 }
@@ -25,7 +25,7 @@ pub(crate) fn parse(text: &str) -> Result<Table, ConfigError> {
     }
 }
 
-/// Null is nothing, as in Lua.
+/// Null means no value, as nil in Lua.
 fn value(json: Json) -> Option<Value> {
     Some(match json {
         Json::Null => return None,

@@ -1,14 +1,14 @@
-//! Keys of other versions of the program: read as what they mean now, with a warning.
+//! Keys of other versions of the program: converted to the present keys, with a warning.
 
 use crate::value::{Table, Value};
 
-/// What becomes of an old key.
+/// Present meaning of an old key.
 enum Now {
-    /// It moved: the new path, from the same table.
+    /// It moved: the new path, relative to the same table.
     Moved(&'static str),
     /// It moved, and a switch became a number of sensors.
     Count(&'static str),
-    /// It has no meaning any more, and why.
+    /// It has no meaning any more, with the reason.
     Gone(&'static str),
 }
 
@@ -20,7 +20,7 @@ const POSE_GRAPH: &str = "map_builder.pose_graph";
 const CONSTRAINTS: &str = "map_builder.pose_graph.constraint_builder";
 const PROBLEM: &str = "map_builder.pose_graph.optimization_problem";
 
-/// Table, old key, what became of it. Tables come before the tables within them.
+/// Table, old key, present meaning. Tables come before the tables within them.
 const RULES: &[(&str, &str, Now)] = &[
     ("", "use_laser_scan", Now::Count("num_laser_scans")),
     ("", "use_multi_echo_laser_scan", Now::Count("num_multi_echo_laser_scans")),
@@ -73,14 +73,13 @@ const RULES: &[(&str, &str, Now)] = &[
     (INSERTER_2D, "miss_probability", Now::Moved("probability_grid_range_data_inserter.miss_probability")),
 ];
 
-/// What was found: the path as written and what was made of it.
+/// An old key in a file: the path as written and what it was converted to.
 pub(crate) struct OldKey {
     pub path: String,
     pub outcome: String,
 }
 
-/// Moves the values of old keys to where they belong now. A value that is given under the new key too
-/// wins over the old one.
+/// Moves the values of old keys to their new places. If the new key is given, too, its value is used.
 pub(crate) fn modernise(root: &mut Table) -> Vec<OldKey> {
     let mut found = Vec::new();
     for (path, key, now) in RULES {
@@ -97,7 +96,7 @@ pub(crate) fn modernise(root: &mut Table) -> Vec<OldKey> {
     found
 }
 
-/// `pure_localization = true` of older versions kept the newest three submaps.
+/// `pure_localization = true` of older versions, which kept the newest three submaps.
 fn pure_localization(root: &mut Table) -> Option<OldKey> {
     let builder = table_mut(root, "trajectory_builder", false)?;
     let outcome = match builder.entries.get("pure_localization")? {
@@ -119,7 +118,7 @@ fn count(value: Value) -> Value {
     }
 }
 
-/// Puts a value at a path from a table unless there is one.
+/// Stores a value at a path relative to a table unless there is one.
 fn place(table: &mut Table, to: &str, value: Value) -> String {
     let (parent, key) = to.rsplit_once('.').unwrap_or(("", to));
     let Some(parent) = table_mut(table, parent, true) else {

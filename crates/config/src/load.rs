@@ -1,4 +1,4 @@
-//! Loading a configuration: defaults, then a file, then single settings.
+//! Loads a configuration: defaults, then a file, then single settings.
 
 use std::path::{Path, PathBuf};
 
@@ -13,37 +13,37 @@ use crate::options::{MapBuilderServerOptions, Options};
 use crate::read::{Reader, Strictness};
 use crate::value::{Table, Value};
 
-/// Options that were loaded, and what was noticed.
+/// Loaded options with the warnings and files of loading.
 #[derive(Clone, Debug)]
 pub struct LoadedConfig<T = Options> {
     /// The options, checked.
     pub options: T,
-    /// What should be reported to the user, in the order it was noticed.
+    /// Warnings for the user, in the order in which they occurred.
     pub warnings: Vec<ConfigWarning>,
     /// Every file that was read, the main file first; built-in ones as `built-in:NAME`.
     pub files: Vec<String>,
-    /// What the file printed.
+    /// Output of the file, line by line.
     pub printed: Vec<String>,
 }
 
 /// How configurations are loaded.
 #[derive(Clone, Debug, Default)]
 pub struct Loader {
-    /// Where included files are sought after the directory of the main file and before the built-in
-    /// ones.
+    /// Directories in which included files are searched after the directory of the main file and before the
+    /// built-in ones.
     pub directories: Vec<PathBuf>,
-    /// What happens with unknown keys.
+    /// Handling of unknown keys.
     pub strictness: Strictness,
-    /// What the file may use of time and memory.
+    /// Limits of time and memory for the file.
     pub limits: Limits,
-    /// Settings `path=value` that win over the file, in order; see [`Options::set`].
+    /// Settings `path=value` that override the file, in order; see [`Options::set`].
     pub settings: Vec<String>,
 }
 
 impl Loader {
-    /// Loads a robot's file. In 3D scans are matched to planes unless it says `match_surfaces = false` in the table
-    /// `portolan`; [`Options::set_engine`] changes that. A bare name that is no file in the working directory may be one of the
-    /// built-in files, such as `backpack_2d.lua`.
+    /// Loads a robot's file. In 3D scans are matched to planes unless the file sets `match_surfaces = false`
+    /// in the table `portolan`; [`Options::set_engine`] changes that. A bare name that is not a file in the
+    /// working directory may be one of the built-in files, such as `backpack_2d.lua`.
     ///
     /// # Errors
     /// If the file cannot be read or run, lacks what is required, or has values or unknown keys that are errors, or if a
@@ -52,7 +52,7 @@ impl Loader {
         self.finish_options(evaluate_file(path, &self.directories, self.limits)?)
     }
 
-    /// Loads a robot's configuration given as text; `name` stands for it in messages.
+    /// Loads a robot's configuration given as text; `name` is its name in messages.
     ///
     /// # Errors
     /// As for [`Self::load`].
@@ -60,7 +60,7 @@ impl Loader {
         self.finish_options(evaluate_text(name, text, &self.directories, self.limits)?)
     }
 
-    /// Takes options that were made otherwise, for instance [`Options::for_2d`], and applies the settings.
+    /// Uses options from another source, for instance [`Options::for_2d`], and applies the settings.
     ///
     /// # Errors
     /// If a setting or a value does not fit.
@@ -82,11 +82,11 @@ impl Loader {
         Ok(config)
     }
 
-    /// Reads JSON as written by [`Options::to_json`]. What is left out keeps its default; only a table that
-    /// may be absent (a trimmer, an intensity table) is absent when the table around it is given without it.
+    /// Reads JSON as written by [`Options::to_json`]. Missing keys keep their default. A table that may be
+    /// absent (a trimmer, an intensity table) becomes absent if the table around it is given without it.
     ///
     /// # Errors
-    /// If the text is no JSON, or as for [`Self::load`].
+    /// If the text is not JSON, or as for [`Self::load`].
     pub fn load_json(&self, name: &str, text: &str) -> Result<LoadedConfig, ConfigError> {
         let mut reader = self.reader(name, &|_| None);
         let mut options = Options::default();
@@ -172,7 +172,7 @@ fn report(
     ConfigError::combine(findings.errors.into_iter().map(placed).collect())
 }
 
-/// What a file without `map_builder` or `trajectory_builder` seems to be.
+/// What kind of file a file without `map_builder` or `trajectory_builder` seems to be.
 fn advice(table: &Table) -> &'static str {
     let has = |key: &str| table.entries.contains_key(key);
     if has("pipeline") {
@@ -188,15 +188,15 @@ fn advice(table: &Table) -> &'static str {
 }
 
 impl Options {
-    /// What files that say nothing mean: they are written for a robot's sensors, frames and weights, and what scans
-    /// are matched to is another matter.
+    /// Defaults for Lua files: scans are matched to planes, because files are written for a robot's sensors,
+    /// frames and weights, and the engine is a separate choice.
     pub(crate) fn of_files() -> Self {
         let mut options = Self::default();
         options.set_engine(Engine::Planes);
         options
     }
 
-    /// Loads a robot's Lua file, unknown keys being errors. Included files are sought beside it, then in
+    /// Loads a robot's Lua file; unknown keys are errors. Included files are searched beside it, then in
     /// `directories`, then among the built-in ones.
     ///
     /// # Errors

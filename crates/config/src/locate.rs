@@ -1,10 +1,10 @@
-//! Finding the line of a Lua file that gives a key, for messages.
+//! Finds the line of a Lua file that sets a key, for messages.
 
 use crate::error::Place;
 use crate::lua::Evaluation;
 
-/// Where the user's own files give the key at the end of a path: the only such line, or the only one that
-/// names the table too; else only the file. Built-in files are never to blame.
+/// The place in the user's own files that sets the key at the end of a path: the only such line, or the only
+/// one that also names the table; otherwise only the file. Built-in files are never reported.
 pub(crate) fn locate(evaluation: &Evaluation, path: &str) -> Option<Place> {
     let mut segments = path.rsplit('.');
     let key = segments.next()?;

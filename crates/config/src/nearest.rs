@@ -1,6 +1,6 @@
-//! The known name that a misspelt one probably means.
+//! Suggests the known name for a misspelt one.
 
-/// The candidate with the least edit distance, if it is near enough to be meant; the first of equals.
+/// The candidate with the smallest edit distance, if that is small enough; of equal ones the first.
 pub(crate) fn nearest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let limit = (name.chars().count() / 3).max(2);
     candidates
@@ -11,8 +11,8 @@ pub(crate) fn nearest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a s
         .map(|(_, candidate)| candidate)
 }
 
-/// How far two names are apart: insertions, deletions, substitutions and swaps of neighbours that turn one name into the other;
-/// anything above `limit` when the lengths alone exceed it.
+/// Edit distance of two names: the number of insertions, deletions, substitutions and swaps of neighbours
+/// that turn one into the other. If the lengths alone exceed `limit`, any number above it.
 pub fn edit_distance(a: &str, b: &str, limit: usize) -> usize {
     let (a, b): (Vec<char>, Vec<char>) = (a.chars().collect(), b.chars().collect());
     if a.len().abs_diff(b.len()) > limit {

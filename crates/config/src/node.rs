@@ -1,23 +1,23 @@
-//! The tree of options as data: what every table and every option can do without knowing its type.
+//! The tree of options as data: access to every table and option without knowing its type.
 //!
-//! The structs in [`options`](crate::options) are plain; the macro of `define` gives
-//! each of them these traits. Reading, writing, listing and checking are written once against them.
+//! The structs in [`options`](crate::options) are plain; the macro in `define` implements these traits for
+//! each of them. Reading, writing, listing and checking are implemented once for the traits.
 
 use crate::bounds::Bounds;
 use crate::value::{Table, Value};
 
-/// How a key behaves when a Lua file is read.
+/// Handling of a key when a Lua file is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mark {
-    /// Cartographer refuses a file without it; here the default is used and a warning given.
+    /// Cartographer refuses a file without it; here the default is used with a warning.
     Required,
-    /// May be left out.
+    /// The key may be left out.
     Optional,
-    /// A table whose keys stand directly in the enclosing table.
+    /// A table whose keys are directly in the enclosing table.
     Flattened,
 }
 
-/// What is written about one option.
+/// Description of one option.
 #[derive(Clone, Copy, Debug)]
 pub struct OptionSpec {
     /// Lua key, equal to the name of the field.
@@ -26,24 +26,24 @@ pub struct OptionSpec {
     pub doc: &'static str,
     /// Unit, empty for tables.
     pub unit: &'static str,
-    /// Bounds, [`Bounds::ANY`] for what is not a number.
+    /// Bounds; [`Bounds::ANY`] if the option is not a number.
     pub bounds: Bounds,
-    /// Behaviour when a file is read.
+    /// Handling when a file is read.
     pub mark: Mark,
 }
 
 impl OptionSpec {
-    /// An entry without unit and bounds that Cartographer demands.
+    /// An entry without unit and bounds that Cartographer requires.
     pub(crate) const fn new(key: &'static str, doc: &'static str) -> Self {
         Self { key, doc, unit: "", bounds: Bounds::ANY, mark: Mark::Required }
     }
 
-    /// The same with unit and bounds.
+    /// The entry with unit and bounds.
     pub(crate) const fn with(self, unit: &'static str, bounds: Bounds) -> Self {
         Self { unit, bounds, ..self }
     }
 
-    /// The same with another mark.
+    /// The entry with another mark.
     pub(crate) const fn marked(self, mark: Mark) -> Self {
         Self { mark, ..self }
     }
@@ -51,11 +51,11 @@ impl OptionSpec {
 
 /// A single value.
 pub trait Leaf {
-    /// Type in words.
+    /// Name of the type.
     fn type_name(&self) -> String;
     /// The value.
     fn to_value(&self) -> Value;
-    /// Takes over a value by the accessor rules of the Lua dialect; `false` when the type does not fit.
+    /// Assigns a value by the accessor rules of the Lua dialect; `false` if the type does not fit.
     #[must_use]
     fn assign(&mut self, value: &Value) -> bool;
 }
@@ -64,7 +64,7 @@ pub trait Leaf {
 pub trait Section {
     /// Documentation of the table.
     fn doc(&self) -> &'static str;
-    /// The entries, in the order they are written.
+    /// The entries, in the order of their definition.
     fn specs(&self) -> &'static [OptionSpec];
     /// The entry at an index of [`Section::specs`].
     fn field(&self, index: usize) -> Option<NodeRef<'_>>;
@@ -76,11 +76,11 @@ pub trait Section {
 pub trait OptionalSection {
     /// The table, if present.
     fn present(&self) -> Option<&dyn Section>;
-    /// The table, made with its defaults if absent.
+    /// The table; if absent, it is created with its defaults.
     fn or_default(&mut self) -> &mut dyn Section;
     /// Makes it absent.
     fn clear(&mut self);
-    /// A table with the defaults it would get.
+    /// A table with the defaults that [`Self::or_default`] would set.
     fn template(&self) -> Box<dyn Section>;
 }
 
@@ -94,7 +94,7 @@ pub enum NodeRef<'a> {
     Optional(&'a dyn OptionalSection),
 }
 
-/// A node of the tree, to be changed.
+/// A mutable node of the tree.
 pub enum NodeMut<'a> {
     /// A value.
     Leaf(&'a mut dyn Leaf),
@@ -104,11 +104,11 @@ pub enum NodeMut<'a> {
     Optional(&'a mut dyn OptionalSection),
 }
 
-/// The type of a field.
+/// A field of a table of options.
 pub trait Field {
-    /// What stands there.
+    /// The node of the field.
     fn node(&self) -> NodeRef<'_>;
-    /// What stands there, to be changed.
+    /// The node of the field, mutable.
     fn node_mut(&mut self) -> NodeMut<'_>;
 }
 
@@ -136,7 +136,7 @@ impl<S: Section + Default + 'static> Field for Option<S> {
     }
 }
 
-/// Gives a plain type the traits of an option.
+/// Implements the traits of an option for a plain type.
 macro_rules! leaf {
     ($type:ty, $name:literal, |$this:ident| $to_value:expr, |$value:ident| $from_value:expr) => {
         impl Leaf for $type {
@@ -178,8 +178,8 @@ leaf!(f32, "number", |this| Value::Number(shortest_f64(*this)), |value| value
     .map(|number| number as f32));
 leaf!(String, "string", |this| Value::Text(this.clone()), |value| value.as_text());
 
-/// The double with the same shortest decimal as a single, so that 0.025 is shown as 0.025; it rounds to
-/// the same single.
+/// The double with the same shortest decimal text as a single-precision number, so that 0.025 is shown as
+/// 0.025. It rounds to the same single-precision number.
 fn shortest_f64(single: f32) -> f64 {
     match single.to_string().parse::<f64>() {
         Ok(double) if double as f32 == single => double,

@@ -1,7 +1,7 @@
-//! What options decide along with what they are for: one question, one answer.
+//! Decisions that follow from options beyond their main purpose, each defined in one place.
 //!
-//! Cartographer takes what sensors say as it is, and searches as its options say. Settings that go beyond it, planes in 3D and
-//! windows of loop closures that follow the drift in 2D, do otherwise.
+//! Cartographer uses sensor data without corrections and searches as its options specify. Settings that go
+//! beyond it (planes in 3D, and windows of loop closures that follow the drift in 2D) behave differently.
 
 use crate::options::PortolanOptions;
 
@@ -10,42 +10,47 @@ impl PortolanOptions {
         self.match_surfaces || self.loop_search_drift > 0.0
     }
 
-    /// Whether biases of gyroscopes are estimated when optimising, and taken away.
+    /// Whether biases of gyroscopes are estimated in the optimisation and subtracted.
     pub fn estimates_imu_biases(&self) -> bool {
         self.goes_beyond_cartographer()
     }
 
-    /// Whether an IMU whose mounting is estimated stays about as it was said to be mounted.
+    /// Whether the estimated mounting of an IMU is kept close to the mounting given by the user.
     pub fn holds_imu_mounting(&self) -> bool {
         self.goes_beyond_cartographer()
     }
 
-    /// Whether satellite fixes are weighed by how far they scatter about the trajectory, and left out where they contradict it.
+    /// Whether satellite fixes are weighted by their scatter about the trajectory, and left out where they
+    /// contradict it.
     pub fn weighs_fixes_by_scatter(&self) -> bool {
         self.goes_beyond_cartographer()
     }
 
-    /// Whether single satellite fixes that are far off count less.
+    /// Whether single satellite fixes with large errors have less weight.
     pub fn has_robust_fixes(&self) -> bool {
         self.goes_beyond_cartographer()
     }
 
-    /// Whether the start is held about level where satellite fixes, but no IMU, tell which way is up.
+    /// Whether the start is held approximately level if there are satellite fixes, but no IMU to measure the
+    /// vertical.
     pub fn holds_start_level(&self) -> bool {
         self.goes_beyond_cartographer()
     }
 
-    /// Whether a trajectory without a place in the rest is searched in whole parts of the map at once.
+    /// Whether a trajectory that is not connected to the rest of the map is searched in whole parts of the
+    /// map at once.
     pub fn searches_whole_maps(&self) -> bool {
         self.goes_beyond_cartographer()
     }
 
-    /// Whether trajectories without a place in the map are searched as soon as nodes come, which planes leave time for.
+    /// Whether trajectories that are not connected to the map are searched as soon as nodes are added;
+    /// matching to planes leaves time for it.
     pub fn localises_while_recording(&self) -> bool {
         self.match_surfaces
     }
 
-    /// Whether `max_constraint_distance` counts from where the nodes of a submap were taken, instead of from its origin.
+    /// Whether `max_constraint_distance` is measured from the positions of the nodes of a submap, instead of
+    /// from its origin.
     pub fn measures_distance_from_nodes(&self) -> bool {
         self.match_surfaces
     }

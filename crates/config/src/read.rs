@@ -1,4 +1,4 @@
-//! Filling options from a tree of values that a file gave.
+//! Fills options from a tree of values that was read from a file.
 
 use crate::catalogue::{join, nearest_path};
 use crate::error::{ConfigError, ConfigWarning, Place};
@@ -7,7 +7,7 @@ use crate::nearest::nearest;
 use crate::node::{Leaf, Mark, NodeMut, NodeRef, OptionSpec, Section};
 use crate::value::{Table, Value};
 
-/// What happens with keys that no option has.
+/// Handling of keys that no option has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Strictness {
     /// They are errors, as in Cartographer.
@@ -17,10 +17,10 @@ pub enum Strictness {
     Warn,
 }
 
-/// Finds where in the files a key is given.
+/// Function that finds the position in the files where a key is set.
 pub(crate) type Locate<'a> = &'a dyn Fn(&str) -> Option<Place>;
 
-/// Reads tables into options and gathers everything that is wrong.
+/// Reads tables into options and collects all errors.
 pub(crate) struct Reader<'a> {
     /// The main file.
     pub file: String,
@@ -31,8 +31,8 @@ pub(crate) struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    /// Reads a table at a path. What it lacks keeps its default, with a warning unless it may be left
-    /// out; a table that may be absent and is not given becomes absent.
+    /// Reads a table at a path. Missing keys keep their default, with a warning unless they may be left out.
+    /// An optional table that is missing becomes absent.
     pub fn read(&mut self, section: &mut dyn Section, table: &Table, path: &str) {
         self.read_entries(section, table, path, true);
         self.check_keys(section, table, path);
@@ -120,7 +120,7 @@ impl Reader<'_> {
         let known = keys_of(section);
         for key in table.entries.keys().filter(|key| !known.contains(&key.as_str())) {
             let at = join(path, key);
-            // Within the same table first: that is where a misspelt key stands.
+            // The same table first, because a misspelt key is usually in the right table.
             let near = nearest(key, known.iter().copied()).map(|near| join(path, near));
             let error = ConfigError::UnknownKey {
                 nearest: near.or_else(|| nearest_path(key)),
@@ -135,7 +135,7 @@ impl Reader<'_> {
     }
 }
 
-/// The keys that may stand in the table of a section.
+/// The keys that the table of a section may contain.
 fn keys_of(section: &dyn Section) -> Vec<&'static str> {
     let mut keys = Vec::new();
     for (index, spec) in section.specs().iter().enumerate() {

@@ -1,4 +1,4 @@
-//! The reference page of all options.
+//! Reference page of all options.
 
 use std::fmt::Write;
 
@@ -6,8 +6,7 @@ use crate::catalogue::{OptionDoc, catalogue, tidy};
 use crate::node::Section;
 use crate::options::Options;
 
-/// All options as a Markdown page: for each table its options with default, unit, bounds and what they
-/// do.
+/// All options as a Markdown page: for each table its options with default, unit, bounds and description.
 pub fn reference() -> String {
     let mut page = String::from(
         "# Options\n\n\

@@ -1,4 +1,4 @@
-//! Getting and setting single options by path.
+//! Gets and sets single options by path.
 
 use crate::bounds::Bounds;
 use crate::catalogue::{Entry, entries_of, resolve};
@@ -11,14 +11,13 @@ use crate::value::{Value, parse_lua_number};
 impl Options {
     /// Sets one option, `path=value`.
     ///
-    /// The path is the full one (`map_builder.pose_graph.constraint_builder.min_score`) or any end of it
-    /// that fits only one option (`constraint_builder.min_score`). Values are written as in Lua, strings
-    /// also without quotes: `true`, `0.6`, `math.rad(20)`, `math.huge`, `base_link`; angles also as
-    /// `20deg`. Setting an option of an absent table makes the table; `path=nil` takes a table away that
-    /// may be absent.
+    /// The path is the full one (`map_builder.pose_graph.constraint_builder.min_score`) or any end of it that
+    /// fits only one option (`constraint_builder.min_score`). Values are written as in Lua, strings also
+    /// without quotes: `true`, `0.6`, `math.rad(20)`, `math.huge`, `base_link`; angles also as `20deg`.
+    /// Setting an option of an absent table creates the table; `path=nil` removes a table that may be absent.
     ///
     /// # Errors
-    /// If the text is no setting, its path fits no option or several, or the value does not fit.
+    /// If the text is not a setting, its path fits no option or several, or the value does not fit.
     pub fn set(&mut self, setting: &str) -> Result<(), ConfigError> {
         let no_setting = || ConfigError::NoSetting { text: setting.to_owned() };
         let (path, value) = setting.split_once('=').ok_or_else(no_setting)?;
@@ -30,8 +29,7 @@ impl Options {
         with_node(self, path, path, &mut |spec, node| assign_text(path, spec, node, value))
     }
 
-    /// The value at a path, given as for [`Options::set`]; a table as a table, `None` for one that is
-    /// absent.
+    /// The value at a path, given as for [`Options::set`]; a table as a table, `None` for an absent one.
     ///
     /// # Errors
     /// If the path fits no option or several.
@@ -52,7 +50,7 @@ impl Options {
     }
 }
 
-/// Calls `act` with the node at a full path; tables on the way that are absent are made.
+/// Calls `act` with the node at a full path; absent tables on the path are created.
 fn with_node(
     section: &mut dyn Section,
     path: &str,
@@ -81,7 +79,7 @@ fn with_node(
     }
 }
 
-/// The entry of a key, or the flattened table that has it.
+/// Index of the entry of a key, or of the flattened table that contains it.
 fn index_of(section: &dyn Section, key: &str) -> Option<usize> {
     section.specs().iter().enumerate().position(|(index, spec)| match spec.mark {
         Mark::Flattened => {
@@ -143,7 +141,7 @@ fn assign_text(path: &str, spec: &OptionSpec, node: NodeMut<'_>, text: &str) -> 
     }
 }
 
-/// Assigns a value that is of the right type and within bounds; `None` if the type is wrong.
+/// Assigns a value of the right type that is within its bounds; `None` if the type is wrong.
 fn assign_checked(
     path: &str,
     leaf: &mut dyn Leaf,
@@ -162,7 +160,7 @@ fn assign_checked(
     if !leaf.assign(value) {
         return None;
     }
-    // Single precision may round a value out of its bounds.
+    // Rounding to single precision may move a value out of its bounds.
     match leaf.to_value() {
         Value::Number(number) if !bounds.contain(number) => {
             let _restored = leaf.assign(&before);

@@ -1,4 +1,4 @@
-//! Writing options as a Lua file.
+//! Writes options as a Lua file.
 
 use std::fmt::Write;
 
@@ -8,7 +8,8 @@ use crate::options::Options;
 
 impl Options {
     /// A complete Lua configuration that needs no other file and loads back to equal options. The table
-    /// `portolan`, which other programs refuse, is written only when a file without it would be read otherwise.
+    /// `portolan`, which other programs refuse, is written only if a file without it would be read to
+    /// different options.
     pub fn to_lua(&self) -> String {
         let mut text = String::from("options = {\n");
         let keep_portolan = self.portolan != Options::of_files().portolan;

@@ -1,4 +1,4 @@
-//! Values of a configuration, detached from the interpreter that made them.
+//! Values of a configuration, independent of the Lua interpreter.
 
 use std::collections::BTreeMap;
 
@@ -9,13 +9,13 @@ use serde::ser::{Serialize, SerializeMap, SerializeSeq, Serializer};
 pub enum Value {
     /// `true` or `false`.
     Boolean(bool),
-    /// Lua 5.2 has only doubles.
+    /// A number; all numbers of Lua 5.2 are doubles.
     Number(f64),
     /// A string.
     Text(String),
     /// A table.
     Table(Table),
-    /// Something that is no data: the name of its Lua type.
+    /// A value that is not data: the name of its Lua type.
     Other(&'static str),
 }
 
@@ -29,7 +29,7 @@ pub struct Table {
 }
 
 impl Value {
-    /// Name of the type as Lua says it.
+    /// Name of the type in Lua.
     pub fn type_name(&self) -> &'static str {
         match self {
             Self::Boolean(_) => "boolean",
@@ -40,7 +40,7 @@ impl Value {
         }
     }
 
-    /// A real boolean; nothing else counts as one.
+    /// A boolean; other types are not converted.
     pub fn as_bool(&self) -> Option<bool> {
         match self {
             Self::Boolean(value) => Some(*value),

@@ -1,7 +1,7 @@
-//! Options that are read, checked and written, and change nothing.
+//! Options that are read, checked and written, but have no effect.
 //!
-//! Files of Cartographer must load, so that these keys exist. This list is the only place that says so:
-//! the documentation of each option in it, or within a table in it, ends with the reason.
+//! Files of Cartographer must load, so these keys exist. This list is the only place that defines which they
+//! are: the documentation of each option in it, or within a table in it, ends with the reason.
 
 use crate::catalogue::explain;
 use crate::options::Options;
@@ -14,8 +14,8 @@ const LIVE_GRAVITY: &str = "the live pose output of ROS reads it; mapping reads 
                             `pose_extrapolator.constant_velocity.imu_gravity_time_constant`";
 const NO_FINISHED_INTENSITIES: &str = "finished submaps hold no intensities, in Cartographer neither";
 
-/// Paths of options and tables with the reason why they have no effect. A path that begins with `*` stands
-/// for all that end so.
+/// Paths of options and tables with the reason why they have no effect. A path that begins with `*` matches
+/// all paths with this end.
 const WITHOUT_EFFECT: &[(&str, &str)] = &[
     ("*solver_options.num_threads", NO_THREADS),
     (
@@ -55,7 +55,7 @@ const GRIDS_ONLY: &str = "scans are matched to planes, and to grids only where t
 const NO_WHEELS_WITH_IMU: &str = "in 3D with an IMU, wheels steer local SLAM and are no constraint of their own, \
                                   unless `fix_z_in_3d` is on";
 
-/// Paths of options of mapping in 3D that matter only when scans are matched to grids, and the like.
+/// Paths of options of 3D mapping that have an effect only if scans are matched to grids, with the reason.
 const WITHOUT_EFFECT_ON_SURFACES: &[(&str, &str)] = &[
     ("trajectory_builder.trajectory_builder_3d.ceres_scan_matcher", GRIDS_ONLY),
     ("trajectory_builder.trajectory_builder_3d.use_online_correlative_scan_matching", GRIDS_ONLY),
@@ -64,7 +64,7 @@ const WITHOUT_EFFECT_ON_SURFACES: &[(&str, &str)] = &[
     ("map_builder.pose_graph.constraint_builder.ceres_scan_matcher_3d", GRIDS_ONLY),
 ];
 
-/// Why an option that was set on its own, given by its path or an end of it, changes little or nothing with these
+/// Why an option that the user set, given by its path or an end of it, has little or no effect with these
 /// `options`.
 pub fn little_effect(path: &str, options: &Options, has_imu: bool) -> Option<&'static str> {
     let path = explain(path)?.path;
@@ -84,7 +84,7 @@ fn is_end_of_name(rest: &str) -> bool {
     rest.is_empty() || rest.starts_with('.')
 }
 
-/// Why the option or table at a full path changes nothing; none if it does.
+/// Why the option or table at a full path has no effect; `None` if it has one.
 pub(crate) fn without_effect(path: &str) -> Option<&'static str> {
     let is_meant = |entry: &str| match entry.strip_prefix('*') {
         Some(end) => path.ends_with(end),

@@ -1,5 +1,5 @@
-//! Absolute trajectory error: how far each pose is from the truth once both maps are laid over each
-//! other (Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", 2012).
+//! Absolute trajectory error (ATE): the error of each pose after the estimate is aligned with the ground
+//! truth (Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", 2012).
 
 use std::fmt;
 
@@ -20,7 +20,7 @@ pub struct AbsoluteErrors {
     pub estimate_poses: usize,
     /// All poses of the truth.
     pub truth_poses: usize,
-    /// How the maps were laid over each other.
+    /// How the maps were aligned.
     pub alignment: Alignment,
     /// The map of the estimate in that of the truth: x y z (m), qx qy qz qw.
     pub truth_from_estimate: [f64; 7],
@@ -28,7 +28,7 @@ pub struct AbsoluteErrors {
     pub translation: ErrorStatistics,
     /// Degrees; of heading alone for [`Alignment::Se2`].
     pub rotation_degrees: ErrorStatistics,
-    /// Metres of true path between the first and the last compared pose.
+    /// Length of the true path between the first and the last compared pose, metres.
     pub path_length: f64,
 }
 

@@ -5,17 +5,17 @@ use serde::Serialize;
 
 use crate::{EvaluationError, PosePair};
 
-/// How the map of an estimate is laid over that of the truth.
+/// How the map of the estimate is aligned with the map of the ground truth.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub enum Alignment {
-    /// Both are the same already.
+    /// No alignment: both use the same map frame already.
     None,
-    /// The first common pose is made to agree.
+    /// The first common poses are made equal.
     FirstPose,
-    /// The positions in 2D agree best (least squares); heights are not compared.
+    /// Least-squares alignment of the positions in 2D; heights are not compared.
     #[default]
     Se2,
-    /// The positions agree best (least squares; Umeyama 1991, with scale 1).
+    /// Least-squares alignment of the positions (Umeyama 1991, with scale 1).
     Se3,
 }
 
@@ -35,8 +35,8 @@ pub fn align(pairs: &[PosePair], alignment: Alignment) -> Result<Rigid3, Evaluat
     }
 }
 
-/// Least squares over the positions: the rotation from the correlation of what is left when both means
-/// are taken away, then the translation that brings the means together.
+/// Least squares over the positions: the rotation from the correlation of the positions after both means are
+/// subtracted, then the translation that aligns the means.
 fn best_rotation(
     pairs: &[PosePair],
     axes: Vector3,
@@ -68,7 +68,7 @@ fn best_rotation(
 fn rotation_from_correlation(correlation: &na::Matrix3<f64>) -> Option<Quaternion> {
     let svd = correlation.try_svd(true, true, f64::EPSILON, 1000)?;
     let (u, v) = (svd.u?, svd.v_t?.transpose());
-    // Without this a flat trajectory could be mirrored instead of turned.
+    // Without this a planar trajectory could be mirrored instead of rotated.
     let sign = (v * u.transpose()).determinant().signum();
     let rotation = v * na::Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * u.transpose();
     Some(Quaternion::from_rotation_matrix(&na::Rotation3::from_matrix_unchecked(rotation)))

@@ -1,16 +1,16 @@
-//! Which pose of the truth belongs to which pose of the estimate.
+//! Association of the poses of an estimate with poses of the ground truth, by time.
 
 use portolan_geometry::{Duration, Rigid3, Time};
 
 use crate::{EvaluationError, Trajectory};
 
-/// How poses are brought together.
+/// How poses are associated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Association {
-    /// The truth is interpolated at the times of the estimate; within gaps of the truth that are longer
-    /// than `max_gap` there is none. [`Association::default`] has no limit.
+    /// The truth is interpolated at the times of the estimate. Poses of the estimate within gaps of the truth
+    /// longer than `max_gap` have no counterpart. [`Association::default`] has no limit.
     Interpolate {
-        /// Longest gap of the truth that is bridged.
+        /// Longest gap of the truth over which poses are interpolated.
         max_gap: Option<Duration>,
     },
     /// The pose of the truth that is nearest in time.
@@ -26,7 +26,7 @@ impl Default for Association {
     }
 }
 
-/// The same moment in both trajectories. Both maps may differ.
+/// The poses of both trajectories at one time. The two map frames may differ.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PosePair {
     /// Time of the pose of the estimate.

@@ -1,5 +1,5 @@
-//! How sharp a point cloud is: without truth by what lies around each point, with truth by the distance to
-//! the true surfaces.
+//! Quality of a point cloud: its sharpness from the neighbourhood of each point if there is no ground truth,
+//! and its distance to the true surfaces if there is.
 
 mod boxes;
 mod comparison;

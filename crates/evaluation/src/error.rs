@@ -16,19 +16,19 @@ pub enum EvaluationError {
         /// What is wrong and what is expected.
         reason: String,
     },
-    /// What should be rotations is none.
+    /// Numbers that should be rotations are not.
     #[error(
         "the last four numbers of {count} lines are no quaternion qx qy qz qw of length 1: are these relations (time1 time2 x y z roll \
          pitch yaw), or another table?"
     )]
     NoQuaternions {
-        /// How many lines, more than half.
+        /// Number of such lines, more than half.
         count: usize,
     },
     /// A binary relations file is damaged.
     #[error("damaged relations file at byte {position}: {reason}")]
     BadRelations {
-        /// Where.
+        /// Byte offset in the file.
         position: usize,
         /// What is wrong.
         reason: &'static str,
@@ -44,15 +44,15 @@ pub enum EvaluationError {
     /// A trajectory without poses.
     #[error("the {0} trajectory has no poses")]
     EmptyTrajectory(&'static str),
-    /// Mean and deviation need two relations.
+    /// Too few relations: mean and standard deviation need two.
     #[error("{0} relations are too few: at least 2 are needed for mean and standard deviation")]
     TooFewRelations(usize),
-    /// The relations belong to another time.
+    /// No relation is within the time span of the trajectory.
     #[error(
         "none of the {relations} relations ({relations_start} to {relations_end}) lies within the trajectory ({start} to {end}): are they of another recording, or counted from another time?"
     )]
     NoRelationInTime {
-        /// How many.
+        /// Number of relations.
         relations: usize,
         /// First time of any relation, Unix seconds.
         relations_start: String,
@@ -80,16 +80,16 @@ pub enum EvaluationError {
     /// The trajectory is too short for a step or segment.
     #[error("no two poses are {0} apart: choose a shorter step")]
     StepTooLong(String),
-    /// A step that is no step.
+    /// A step that is not above zero.
     #[error("a step of {0} is not above zero")]
     BadStep(f64),
-    /// Coordinates beyond what can be computed with.
+    /// Coordinates too large to compute with.
     #[error("the positions are too large to align (beyond 1e100 m): are they damaged?")]
     CannotAlign,
-    /// A map that relations cannot be made from.
+    /// A map from which relations cannot be made.
     #[error("cannot make relations from this map: {0}")]
     BadMap(String),
-    /// A file of surfaces that cannot be used.
+    /// A mesh file that cannot be used.
     #[error("this mesh cannot be used: {0}")]
     BadMesh(String),
 }

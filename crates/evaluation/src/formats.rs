@@ -20,7 +20,7 @@ use portolan_input::quoted;
 use crate::EvaluationError;
 use crate::trajectory::TrajectoryRepairs;
 
-/// Seconds beyond which a number cannot be a time in seconds.
+/// Limit beyond which a number cannot be a time in seconds.
 const MAX_SECONDS: f64 = 1e11;
 
 /// A time in seconds, exact to 100 ns.
@@ -39,8 +39,8 @@ pub(crate) fn parse_number(text: &str, line: usize) -> Result<f64, EvaluationErr
     text.parse().map_err(|_| bad_line(line, format!("{} is not a number", quoted(text))))
 }
 
-/// A pose from translation and quaternion, which is normalised whatever its length; `None`, counted, if
-/// that cannot be.
+/// A pose from translation and quaternion, which is normalised whatever its length. If it cannot be
+/// normalised or a value is not finite, the pose is counted as invalid and `None` is returned.
 fn pose_of(translation: [f64; 3], xyzw: [f64; 4], repairs: &mut TrajectoryRepairs) -> Option<Rigid3> {
     let [x, y, z, w] = xyzw;
     let q = na::Quaternion::new(w, x, y, z);
@@ -53,7 +53,7 @@ fn pose_of(translation: [f64; 3], xyzw: [f64; 4], repairs: &mut TrajectoryRepair
     Some(Rigid3::from_parts(na::Translation3::from(translation), Quaternion::new_normalize(q)))
 }
 
-/// Counts of two steps together.
+/// Sum of the counts of two steps.
 fn both(a: TrajectoryRepairs, b: TrajectoryRepairs) -> TrajectoryRepairs {
     TrajectoryRepairs {
         unsorted: a.unsorted + b.unsorted,

@@ -7,17 +7,17 @@ use portolan_numeric::HistogramBins;
 /// Characters of a full bar.
 const BAR: usize = 20;
 
-/// Values of which a histogram can be drawn. Those that are not finite are left out.
+/// Values for a histogram. Values that are not finite are left out.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Histogram(portolan_numeric::Histogram);
 
 impl Histogram {
-    /// One more value.
+    /// Adds a value.
     pub fn add(&mut self, value: f64) {
         self.0.add(value);
     }
 
-    /// The histogram in `buckets` steps of equal width from the smallest to the largest value.
+    /// The histogram with `buckets` bins of equal width from the smallest to the largest value.
     pub fn to_text(&self, buckets: usize) -> String {
         let Some(bins) = self.0.bins(buckets) else { return "Count: 0".to_owned() };
         let HistogramBins { count, min, max, mean, .. } = bins;

@@ -1,5 +1,5 @@
-//! Relations: what is known of the motion between two times (Kümmerle et al., "On measuring the
-//! accuracy of SLAM algorithms", 2009).
+//! Relations: known motions between two times (Kümmerle et al., "On measuring the accuracy of SLAM
+//! algorithms", 2009).
 
 mod binary;
 mod generate;
@@ -21,7 +21,7 @@ use portolan_geometry::{Rigid3, Time};
 
 use crate::EvaluationError;
 
-/// What is known of the motion between two times.
+/// Known motion between two times.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Relation {
     /// The earlier time, usually.
@@ -30,15 +30,16 @@ pub struct Relation {
     pub time2: Time,
     /// Tracking frame at `time2` seen from that at `time1`.
     pub expected_1_from_2: Rigid3,
-    /// Metres along the trajectory between them; zero if not known.
+    /// Path length along the trajectory between the two times, metres; zero if unknown.
     pub covered_distance: f64,
 }
 
-/// Reads relations from the bytes of a file: text if there is nothing but text in it, else binary.
+/// Reads relations from the bytes of a file. A file that consists of ASCII alone is text, any other is
+/// binary.
 ///
 /// # Errors
 /// If the bytes are damaged, or of another format.
 pub fn read_relations(bytes: &[u8]) -> Result<Vec<Relation>, EvaluationError> {
-    // A binary file of relations holds stamps, whose bytes are not ASCII.
+    // A binary file of relations contains time stamps, whose bytes are not ASCII.
     if bytes.is_ascii() { read_text_relations(bytes) } else { read_binary_relations(bytes) }
 }

@@ -1,5 +1,5 @@
-//! Relative pose error: how well the motion over a step of time or way agrees with the truth; and the
-//! drift over segments of given lengths, as KITTI measures it (Geiger et al. 2012).
+//! Relative pose error (RPE): the error of the estimated motion over a step of time or of distance; and the
+//! drift over segments of given lengths, as in the KITTI benchmark (Geiger et al. 2012).
 
 use std::fmt;
 
@@ -11,12 +11,12 @@ use crate::statistics::ErrorStatistics;
 use crate::trajectory::covered_distances;
 use crate::{Association, EvaluationError, PosePair, Trajectory};
 
-/// What motions are compared over.
+/// Step over which motions are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub enum Step {
     /// Seconds.
     Time(f64),
-    /// Metres along the true way.
+    /// Metres along the true path.
     Distance(f64),
 }
 
@@ -40,7 +40,7 @@ pub struct RelativeErrors {
     pub rotation_degrees: ErrorStatistics,
 }
 
-/// Error of a motion, seen from its start: metres and degrees.
+/// Error of a motion, in the frame of its start: metres and degrees.
 fn motion_error(truth: (&Rigid3, &Rigid3), estimate: (&Rigid3, &Rigid3)) -> (f64, f64) {
     let true_motion = truth.0.inverse() * truth.1;
     let estimated_motion = estimate.0.inverse() * estimate.1;
@@ -52,9 +52,9 @@ fn between(a: &PosePair, b: &PosePair) -> (f64, f64) {
     motion_error((&a.truth, &b.truth), (&a.estimate, &b.estimate))
 }
 
-/// Compares motions over a step, from every pose of the estimate that has one a step later: both
-/// trajectories interpolated at that time, or the first pose at least so many metres further along the
-/// true way. No alignment of the maps is needed.
+/// Compares motions over a step, starting at every pose of the estimate that has a pose one step later. For a
+/// step of time both trajectories are interpolated at the later time. For a distance the motion ends at the
+/// first pose that is at least this many metres further along the true path. The maps need no alignment.
 ///
 /// # Errors
 /// If the step is not above zero, or as for [`associate`].
@@ -106,9 +106,9 @@ impl fmt::Display for RelativeErrors {
 /// Drift over all segments of one length, or of all lengths.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SegmentErrors {
-    /// Metres; none for the mean over all lengths.
+    /// Length of the segments, metres; `None` for the mean over all lengths.
     pub length: Option<f64>,
-    /// How many segments.
+    /// Number of segments.
     pub count: usize,
     /// Mean translational error, per cent of the length.
     pub translation_percent: f64,
@@ -119,15 +119,15 @@ pub struct SegmentErrors {
 /// Drift of a trajectory.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Drift {
-    /// For each length of which there are segments.
+    /// One entry for each length with at least one segment.
     pub by_length: Vec<SegmentErrors>,
     /// Over all segments; none if the trajectory is shorter than the shortest length.
     pub mean: Option<SegmentErrors>,
-    /// Metres of true path.
+    /// Length of the true path, metres.
     pub path_length: f64,
-    /// Error of the last pose when the first is made to agree, metres.
+    /// Error of the last pose after the first poses are aligned, metres.
     pub end_translation: f64,
-    /// Error of the last pose when the first is made to agree, degrees.
+    /// Error of the last pose after the first poses are aligned, degrees.
     pub end_rotation_degrees: f64,
 }
 
@@ -136,7 +136,7 @@ pub const KITTI_LENGTHS: [f64; 8] = [100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 7
 /// The KITTI benchmark starts a segment at every tenth pose.
 pub const KITTI_STRIDE: usize = 10;
 
-/// Measures drift over segments of the given lengths (metres along the true way), started at every
+/// Measures drift over segments of the given lengths (metres along the true path), started at every
 /// `stride`-th pose. A segment ends at the first pose beyond its length. [`KITTI_LENGTHS`] and
 /// [`KITTI_STRIDE`] give the figures of that benchmark.
 ///
@@ -195,7 +195,7 @@ fn mean_of(errors: &[(f64, f64)], length: Option<f64>) -> Option<SegmentErrors> 
 }
 
 impl Drift {
-    /// Error of the last pose per metre of path, with the first pose made to agree.
+    /// Error of the last pose per metre of path, after the first poses are aligned.
     pub fn end_drift_per_metre(&self) -> Option<f64> {
         (self.path_length > 0.0).then(|| self.end_translation / self.path_length)
     }

@@ -7,9 +7,9 @@ use serde::Serialize;
 /// A pose at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimedPose {
-    /// When.
+    /// Time of the pose.
     pub time: Time,
-    /// The moving frame in the fixed frame.
+    /// Pose of the moving frame in the fixed frame.
     pub map_from_tracking: Rigid3,
 }
 
@@ -19,14 +19,14 @@ pub struct Trajectory {
     poses: Vec<TimedPose>,
 }
 
-/// What was put right when a trajectory was made or read.
+/// Repairs that were made when a trajectory was constructed or read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct TrajectoryRepairs {
-    /// Poses that came after a later one; they were put in order.
+    /// Poses that came after a later one; they were sorted.
     pub unsorted: usize,
     /// Poses at the time of another; the first was kept.
     pub duplicate_stamps: usize,
-    /// Poses with NaN, infinity, a quaternion of length zero or places that are not on the Earth
+    /// Poses with NaN, infinity, a quaternion of length zero or a position that is not on the Earth
     /// ([`FARTHEST_COORDINATE`](portolan_geometry::FARTHEST_COORDINATE)); they were dropped.
     pub invalid_poses: usize,
     /// Quaternions whose length was off by more than 0.001; they were normalised.
@@ -34,7 +34,7 @@ pub struct TrajectoryRepairs {
 }
 
 impl TrajectoryRepairs {
-    /// What was put right, in words.
+    /// The repairs in words.
     pub fn notes(&self) -> Vec<String> {
         let repaired = [
             (self.unsorted, "came after a later one: put in order"),
@@ -48,7 +48,7 @@ impl TrajectoryRepairs {
 }
 
 impl Trajectory {
-    /// Puts poses in order of time. Of several at one time the first stays; invalid ones are dropped.
+    /// Sorts poses by time. Of several at one time the first is kept; invalid poses are dropped.
     pub fn new(poses: impl IntoIterator<Item = TimedPose>) -> (Self, TrajectoryRepairs) {
         let mut repairs = TrajectoryRepairs::default();
         let mut ordered: Vec<TimedPose> = Vec::new();
@@ -73,7 +73,7 @@ impl Trajectory {
         &self.poses
     }
 
-    /// Moved along the axes of the map, metres.
+    /// The trajectory translated along the axes of the map, metres.
     pub fn moved(mut self, by: &Vector3) -> Self {
         for pose in &mut self.poses {
             pose.map_from_tracking = moved(&pose.map_from_tracking, by);
@@ -81,12 +81,12 @@ impl Trajectory {
         self
     }
 
-    /// How many poses.
+    /// Number of poses.
     pub fn len(&self) -> usize {
         self.poses.len()
     }
 
-    /// Whether there is none.
+    /// Whether there are no poses.
     pub fn is_empty(&self) -> bool {
         self.poses.is_empty()
     }
@@ -96,20 +96,21 @@ impl Trajectory {
         Some((self.poses.first()?.time, self.poses.last()?.time))
     }
 
-    /// The pose at a time within the span: linear translation, spherical rotation between neighbours.
+    /// The pose at a time within the span, by linear interpolation of translation and spherical interpolation
+    /// of rotation between the neighbouring poses.
     pub fn lookup(&self, time: Time) -> Option<Rigid3> {
         let (before, after) = self.neighbours(time)?;
         Some(interpolate(before.time, &before.map_from_tracking, after.time, &after.map_from_tracking, time))
     }
 
-    /// Like [`Trajectory::lookup`]; before the first pose and after the last that pose itself.
+    /// Like [`Trajectory::lookup`]; before the first and after the last pose that pose itself.
     pub fn lookup_clamped(&self, time: Time) -> Option<Rigid3> {
         let (start, end) = self.span()?;
         self.lookup(time.clamp(start, end))
     }
 
-    /// The poses at or before and at or after a time within the span (twice the same if there is one
-    /// at that very time).
+    /// The last pose at or before a time within the span and the first at or after it (twice the same pose if
+    /// there is one at exactly this time).
     pub fn neighbours(&self, time: Time) -> Option<(&TimedPose, &TimedPose)> {
         let after = self.poses.partition_point(|p| p.time < time);
         let next = self.poses.get(after)?;
@@ -119,7 +120,7 @@ impl Trajectory {
         Some((self.poses.get(after.checked_sub(1)?)?, next))
     }
 
-    /// The pose nearest in time, if it is within the tolerance; of two equally near the later.
+    /// The pose nearest in time, if it is within the tolerance; of two equally near the later one.
     pub fn nearest(&self, time: Time, tolerance: Duration) -> Option<&TimedPose> {
         let after = self.poses.partition_point(|p| p.time < time);
         let next = self.poses.get(after).map(|p| (p.time - time, p));
@@ -147,7 +148,7 @@ impl Trajectory {
     }
 }
 
-/// Sums of the lengths of the motions between consecutive poses, beginning with zero.
+/// Cumulative length of the motions between consecutive poses, beginning with zero.
 pub(crate) fn covered_distances<'a>(poses: impl Iterator<Item = &'a Rigid3>) -> Vec<f64> {
     let mut sum = 0.0;
     let mut last: Option<&Rigid3> = None;

@@ -8,7 +8,7 @@ pub const fn rgb(code: u32) -> Rgb {
     [(code >> 16 & 255) as f32 / 255.0, (code >> 8 & 255) as f32 / 255.0, (code & 255) as f32 / 255.0]
 }
 
-/// The colour of trajectory number `index`: hues a golden angle apart, so that neighbours differ
+/// The colour of trajectory number `index`: hues at multiples of the golden angle, so that neighbours differ
 /// (`formats.md §6.4`).
 pub fn palette(index: usize) -> Rgb {
     const GOLDEN_RATIO_CONJUGATE: f64 = 0.6180339887498949;
@@ -32,12 +32,12 @@ pub fn hsv(hue: f32, saturation: f32, value: f32) -> Rgb {
     [r, g, b].map(|v| v + value - chroma)
 }
 
-/// The colour between `a` (0) and `b` (1).
+/// Interpolates from `a` (at 0) to `b` (at 1).
 pub fn mix(a: Rgb, b: Rgb, t: f32) -> Rgb {
     [0, 1, 2].map(|i| a[i] + (b[i] - a[i]) * t)
 }
 
-/// Eight bits for each part.
+/// Eight bits per channel.
 pub fn to_bytes(colour: Rgb) -> [u8; 3] {
     colour.map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8)
 }

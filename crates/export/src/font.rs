@@ -1,22 +1,22 @@
-//! A small font of strokes, for labels in pictures.
+//! A small stroke font for labels in pictures.
 //!
-//! Glyphs are polylines on a grid of 4 by 8 units: capitals from y = 0 to the base line at 6, small
-//! letters from 2, tails down to 8. Two digits are a point (x, y), a space lifts the pen, a single
-//! point is a dot.
+//! Glyphs are polylines on a grid of 4 by 8 units: capitals from y = 0 to the base line at 6, small letters
+//! from 2, descenders down to 8. Two digits are a point (x, y), a space lifts the pen, a single point is a
+//! dot.
 
 use tiny_skia::{FillRule, LineCap, LineJoin, Paint, PathBuilder, PixmapMut, Stroke, Transform};
 
 /// Height of a capital in units of the grid.
 const CAPITAL: f32 = 6.0;
-/// Room between two glyphs.
+/// Space between two glyphs.
 const GAP: f32 = 1.8;
 /// Width of the pen.
 const PEN: f32 = 0.8;
 /// Radius of a dot.
 const DOT: f32 = 0.6;
 
-/// Width in units of the grid, and the strokes. Characters that are not here are an empty box. A table, and long
-/// therefore.
+/// Width in units of the grid, and strokes. Characters without a glyph are drawn as an empty box. The
+/// function is long because it is a table.
 fn glyph(c: char) -> (f32, &'static str) {
     match c {
         ' ' => (1.6, ""),

@@ -1,4 +1,4 @@
-//! Histograms as pictures.
+//! Draws histograms as pictures.
 
 use tiny_skia::{Color, Paint, PathBuilder, Pixmap, PixmapMut, Rect, Stroke, Transform};
 
@@ -10,7 +10,7 @@ use crate::raster::Frame;
 /// Size of one panel, pixels.
 const WIDTH: f32 = 720.0;
 const HEIGHT: f32 = 360.0;
-/// Room for labels around the bars: left, right, top, bottom.
+/// Margins for labels around the bars: left, right, top, bottom.
 const MARGIN: [f32; 4] = [64.0, 20.0, 48.0, 48.0];
 const LABEL: f32 = 12.0;
 const BARS: usize = 40;
@@ -20,17 +20,17 @@ const FAINT: Rgb = rgb(0xd5d9de);
 const BAR: Rgb = rgb(0x3b6ea5);
 const MEDIAN: Rgb = rgb(0xd62728);
 
-/// One histogram: values that are at least zero, with what they are.
+/// One histogram: non-negative values with a title.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HistogramPanel<'a> {
-    /// What is counted, with its unit: `translational error, m`.
+    /// Quantity with its unit: `translational error, m`.
     pub title: &'a str,
     /// The values; those that are not finite are left out.
     pub values: &'a [f64],
 }
 
-/// Draws histograms one below the other, each from zero to a round number that holds 95 percent of the values
-/// (larger ones are counted in the last bar), with the median marked. None without panels.
+/// Draws histograms one below the other, each from zero to a round number that is above 95 percent of the
+/// values, with the median marked. Larger values are counted in the last bar. None without panels.
 pub fn draw_histograms(panels: &[HistogramPanel]) -> Option<Picture> {
     let height = HEIGHT * panels.len() as f32;
     let mut pixmap = Pixmap::new(WIDTH as u32, height as u32)?;
@@ -45,12 +45,12 @@ pub fn draw_histograms(panels: &[HistogramPanel]) -> Option<Picture> {
         resolution: 1.0,
         upper_left: [0.0, f64::from(height)],
     };
-    // Every pixel is opaque, so premultiplied colours are the colours.
+    // Every pixel is opaque, so premultiplied colours equal the colours.
     let rgb = pixmap.data().chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
     Some(Picture { frame, rgb })
 }
 
-/// Counts of equal steps from zero; the last one also holds what is larger.
+/// Counts in equal steps from zero; the last one includes larger values.
 struct Bars {
     end: f64,
     counts: Vec<usize>,
@@ -74,7 +74,7 @@ impl Bars {
     }
 }
 
-/// The next number of the form 1, 2 or 5 times a power of ten.
+/// Rounds up to 1, 2 or 5 times a power of ten.
 fn round_up(value: f64) -> f64 {
     let power = 10_f64.powf(value.log10().floor());
     let steps = [1.0, 2.0, 5.0, 10.0].map(|m| m * power);
@@ -108,7 +108,7 @@ fn draw_panel(canvas: &mut PixmapMut, panel: &HistogramPanel, top: f32) {
     }
     let width = (x1 - x0) / BARS as f32;
     for (i, count) in bars.counts.iter().enumerate().filter(|(_, count)| **count > 0) {
-        // The smallest bar is seen.
+        // At least one pixel, so that the smallest bar is visible.
         let height = (y1 - y(*count as f64)).max(1.0);
         if let Some(rect) = Rect::from_xywh(x0 + width * i as f32 + 0.5, y1 - height, width - 1.0, height) {
             canvas.fill_rect(rect, &paint(BAR), Transform::identity(), None);
@@ -118,7 +118,7 @@ fn draw_panel(canvas: &mut PixmapMut, panel: &HistogramPanel, top: f32) {
     line(canvas, [x0, y1, x1, y1], INK, 1.5);
 }
 
-/// Few digits.
+/// Formats a number with few digits.
 fn number(value: f64) -> String {
     let text = format!("{value:.4}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()

@@ -1,4 +1,4 @@
-//! One page of HTML that needs nothing beside it: pictures and plots are inside.
+//! Writes a self-contained HTML page: pictures and plots are embedded.
 
 use std::fmt::Write;
 
@@ -13,7 +13,7 @@ figure svg{width:100%;height:auto;border:1px solid #d5d9de;display:block}figcapt
 .warn{background:#fff4e0;border-left:4px solid #e08214;padding:6px 12px}\
 @media print{body{max-width:none;padding:0;font-size:11px}h2{break-after:avoid}}";
 
-/// Text that may stand in HTML and in its attributes.
+/// Escapes a text for HTML and its attributes.
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
@@ -29,7 +29,7 @@ pub fn escape(text: &str) -> String {
     out
 }
 
-/// A page that grows from top to bottom.
+/// A page that is written from top to bottom.
 #[derive(Clone, Debug)]
 pub struct HtmlPage {
     html: String,
@@ -57,17 +57,17 @@ impl HtmlPage {
         let _ = writeln!(self.html, "<p>{}</p>", escape(text));
     }
 
-    /// A paragraph that must be seen.
+    /// A paragraph marked as a warning.
     pub fn warning(&mut self, text: &str) {
         let _ = writeln!(self.html, "<p class=\"warn\">{}</p>", escape(text));
     }
 
-    /// A line of what was typed.
+    /// A command line as typed.
     pub fn command(&mut self, text: &str) {
         let _ = writeln!(self.html, "<p><code>{}</code></p>", escape(text));
     }
 
-    /// A table; cells that begin with a digit or a sign are numbers.
+    /// A table; cells that begin with a digit or a sign are aligned as numbers.
     pub fn table<R: AsRef<[String]>>(&mut self, head: &[&str], rows: &[R]) {
         self.html += "<table>";
         if !head.is_empty() {
@@ -90,7 +90,7 @@ impl HtmlPage {
         self.html += "</table>\n";
     }
 
-    /// Drawings (SVG) beside each other, each with a caption.
+    /// Drawings (SVG) side by side, each with a caption.
     pub fn figures(&mut self, figures: &[(String, String)]) {
         self.html += "<div class=\"row\">";
         for (svg, caption) in figures {
@@ -105,21 +105,21 @@ impl HtmlPage {
     }
 }
 
-/// Something drawn over a picture, in its pixels.
+/// A mark drawn over a picture, in its pixels.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Mark {
     /// A frame with a label: left, top, width, height.
     Frame([f64; 4], String),
     /// A line.
     Line(Vec<[f64; 2]>),
-    /// A bar of this length in pixels with its length in words, below the picture.
+    /// A bar of this length in pixels, with its length as text, below the picture.
     Scale(f64, String),
 }
 
-/// A PNG picture as SVG, with marks over it.
+/// A PNG picture as SVG, with marks drawn over it.
 pub fn marked_picture(png: &[u8], width: usize, height: usize, marks: &[Mark]) -> String {
     let unit = width.max(height) as f64 / 1000.0;
-    // The bar stands below the picture, so that it hides nothing.
+    // The bar is below the picture, so that it hides nothing.
     let strip = if marks.iter().any(|m| matches!(m, Mark::Scale(..))) { 56.0 * unit } else { 0.0 };
     let total = height as f64 + strip;
     let mut svg = format!(
@@ -171,13 +171,13 @@ pub fn marked_picture(png: &[u8], width: usize, height: usize, marks: &[Mark]) -
     svg + "</svg>"
 }
 
-/// A bar for a picture with pixels of `resolution` metres.
+/// A scale bar for a picture with pixels of `resolution` metres.
 pub fn scale_mark(width: usize, resolution: f64) -> Option<Mark> {
     let length = crate::overlay::round_length(0.2 * width as f64 * resolution)?;
     Some(Mark::Scale(length / resolution, crate::overlay::length_label(length)))
 }
 
-/// RFC 4648, section 4.
+/// Base64 encoding (RFC 4648, section 4).
 fn base64(bytes: &[u8]) -> String {
     const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);

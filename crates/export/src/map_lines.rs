@@ -1,4 +1,4 @@
-//! Lines of a map file: trajectories and loop closures.
+//! Extracts trajectories and loop closures of a map file as lines.
 
 use std::collections::BTreeMap;
 
@@ -8,8 +8,7 @@ use portolan_pbstream::{IdInFile, node_id, pose_from_proto, submap_id, submap_po
 
 use crate::overlay::{ConstraintLine, TrajectoryLine};
 
-/// The trajectories of a map, coloured by their place in the file. Nodes without a valid pose are left
-/// out.
+/// The trajectories of a map, coloured by their index in the file. Nodes without a valid pose are left out.
 pub fn trajectory_lines(graph: &PoseGraph) -> Vec<TrajectoryLine> {
     let lines = graph.trajectory.iter().enumerate().map(|(index, trajectory)| {
         let poses = trajectory.node.iter().filter_map(|n| pose_from_proto(n.pose.as_ref()));
@@ -18,8 +17,8 @@ pub fn trajectory_lines(graph: &PoseGraph) -> Vec<TrajectoryLine> {
     lines.filter(|l| !l.points.is_empty()).collect()
 }
 
-/// The loop closures of a map, each from the origin of the submap to the node. Those to something that
-/// is not there are left out.
+/// The loop closures of a map, each from the origin of the submap to the node. Those with a missing submap or
+/// node are left out.
 pub fn constraint_lines(graph: &PoseGraph) -> Vec<ConstraintLine> {
     let submaps = submap_poses(graph);
     let nodes: BTreeMap<IdInFile, [f64; 2]> = graph

@@ -1,4 +1,4 @@
-//! What is drawn over the ground of a map picture: trajectories, constraints, the scale bar.
+//! Draws trajectories, constraints and the scale bar over the background of a map picture.
 
 use tiny_skia::{Color, FillRule, LineCap, LineJoin, Paint, PathBuilder, PixmapMut, Rect, Stroke, Transform};
 
@@ -7,26 +7,26 @@ use crate::font::{draw_text, text_width};
 use crate::path::ColouredLine;
 use crate::raster::Frame;
 
-/// Start and end of a trajectory.
+/// Colours of start and end of a trajectory.
 const START: Rgb = rgb(0x2ca02c);
 const END: Rgb = rgb(0xd62728);
-/// Loop closures within a trajectory and between trajectories.
+/// Colours of loop closures within a trajectory and between trajectories.
 const LOOP: Rgb = rgb(0xe08214);
 const LOOP_BETWEEN: Rgb = rgb(0x8073ac);
 const WHITE: Rgb = rgb(0xffffff);
 const INK: Rgb = rgb(0x20252b);
 
-/// Parts of the scale bar in pixels of a picture of 1000: height of the text, of the bar, inner and outer
-/// margin.
+/// Sizes in the scale bar, in pixels of a picture of 1000 pixels: height of the text, height of the bar,
+/// inner and outer margin.
 const TEXT: f32 = 11.0;
 const BAR: f32 = 5.0;
 const PAD: f32 = 9.0;
 const CORNER: f32 = 12.0;
 
-/// The way of one trajectory in the map.
+/// The path of one trajectory in the map.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrajectoryLine {
-    /// Chooses the colour.
+    /// Index of its colour in the palette.
     pub index: usize,
     /// Map positions in order of time, metres.
     pub points: Vec<[f64; 2]>,
@@ -43,7 +43,7 @@ pub struct ConstraintLine {
     pub between_trajectories: bool,
 }
 
-/// A colour to draw with, smooth at edges.
+/// An anti-aliased paint of one colour.
 pub(crate) fn solid_paint(colour: Rgb, alpha: f32) -> Paint<'static> {
     let [r, g, b] = colour.map(|v| v.clamp(0.0, 1.0));
     let mut paint = Paint { anti_alias: true, ..Paint::default() };
@@ -57,9 +57,9 @@ fn pen(width: f32) -> Stroke {
     Stroke { width, line_cap: LineCap::Round, line_join: LineJoin::Round, ..Stroke::default() }
 }
 
-/// Draws all constraints as thin lines. `scale` is the size of strokes; 1 suits a picture of 1000 pixels.
+/// Draws all constraints as thin lines. `scale` is the scale of strokes: 1 for a picture of 1000 pixels.
 pub fn draw_constraints(pixmap: &mut PixmapMut, frame: &Frame, constraints: &[ConstraintLine], scale: f32) {
-    // Many lines must not cover the map.
+    // The more lines, the more transparent: they must not cover the map.
     let alpha = (6.0 / (constraints.len() as f32).sqrt().max(1.0)).clamp(0.06, 0.7);
     for (between, colour) in [(false, LOOP), (true, LOOP_BETWEEN)] {
         let paint = solid_paint(colour, alpha);
@@ -72,12 +72,12 @@ pub fn draw_constraints(pixmap: &mut PixmapMut, frame: &Frame, constraints: &[Co
 /// Draws trajectories in the colours of the palette, each with its start (green) and end (red).
 pub fn draw_trajectories(pixmap: &mut PixmapMut, frame: &Frame, lines: &[TrajectoryLine], scale: f32) {
     for line in lines {
-        // A light edge keeps the line apart from walls.
+        // A light edge separates the line from walls.
         stroke_line(pixmap, frame, &line.points, &solid_paint(WHITE, 0.65), 4.6 * scale);
         stroke_line(pixmap, frame, &line.points, &solid_paint(palette(line.index), 0.92), 2.4 * scale);
     }
     for line in lines {
-        // Of different size, so that both are seen where they meet.
+        // Of different sizes, so that both are visible where they coincide.
         let ends = [(line.points.last(), END, 6.0), (line.points.first(), START, 4.2)];
         for (point, colour, radius) in ends {
             if let Some(point) = point {
@@ -89,7 +89,7 @@ pub fn draw_trajectories(pixmap: &mut PixmapMut, frame: &Frame, lines: &[Traject
     }
 }
 
-/// Draws lines each in its colour, the last on top; those of a single position as dots.
+/// Draws lines, each in its colour, the last on top. A line with a single position is drawn as a dot.
 pub fn draw_coloured(pixmap: &mut PixmapMut, frame: &Frame, lines: &[ColouredLine], scale: f32) {
     for line in lines {
         stroke_line(pixmap, frame, &line.points, &solid_paint(WHITE, 0.65), 4.6 * scale);
@@ -104,7 +104,7 @@ pub fn draw_coloured(pixmap: &mut PixmapMut, frame: &Frame, lines: &[ColouredLin
     }
 }
 
-/// Strokes a line through map positions; steps of less than half a pixel are joined, and the line is
+/// Strokes a line through map positions. Positions less than half a pixel apart are merged. The line is
 /// interrupted where a position is not finite or far outside of the picture.
 fn stroke_line(pixmap: &mut PixmapMut, frame: &Frame, points: &[[f64; 2]], paint: &Paint, width: f32) {
     let mut builder = PathBuilder::new();
@@ -133,7 +133,7 @@ fn fill_circle(pixmap: &mut PixmapMut, x: f32, y: f32, radius: f32, paint: &Pain
     }
 }
 
-/// Writes a line of text on a plate in the upper left corner, where it fits.
+/// Draws a line of text on a plate in the upper left corner, if it fits.
 pub fn draw_title(pixmap: &mut PixmapMut, title: &str, scale: f32) {
     let (width, height) = (text_width(title, TEXT * scale) + 2.0 * PAD * scale, (TEXT + 2.0 * PAD) * scale);
     let margin = CORNER * scale;
@@ -145,7 +145,7 @@ pub fn draw_title(pixmap: &mut PixmapMut, title: &str, scale: f32) {
     draw_text(pixmap, title, x, base, TEXT * scale, &solid_paint(INK, 1.0));
 }
 
-/// A bar of a round length with its length over it, in one corner of the picture.
+/// A bar of a round length with its length as text above it, in one corner of the picture.
 pub struct ScaleBar {
     label: String,
     scale: f32,
@@ -156,7 +156,7 @@ pub struct ScaleBar {
 }
 
 impl ScaleBar {
-    /// A bar of about a sixth of the width; none where it does not fit.
+    /// A bar of about a sixth of the width; none if it does not fit.
     pub fn new(frame: &Frame, scale: f32) -> Option<Self> {
         let length = round_length(0.18 * frame.width as f64 * frame.resolution)?;
         let bar = (length / frame.resolution) as f32;
@@ -168,7 +168,7 @@ impl ScaleBar {
         fits.then_some(Self { label, scale, bar, width, height })
     }
 
-    /// The places it can have: left, top, width and height in pixels; the usual one first.
+    /// Possible rectangles of the bar: left, top, width and height in pixels; the preferred one first.
     pub fn places(&self, frame: &Frame) -> [[f32; 4]; 4] {
         let margin = CORNER * self.scale;
         let right = frame.width as f32 - margin - self.width;
@@ -177,7 +177,7 @@ impl ScaleBar {
             .map(|(x, y)| [x, y, self.width, self.height])
     }
 
-    /// Draws it at one of its places.
+    /// Draws it in one of these rectangles.
     pub fn draw(&self, pixmap: &mut PixmapMut, [left, top, width, height]: [f32; 4]) {
         let scale = self.scale;
         fill_rounded(pixmap, [left, top, width, height], 4.0 * scale, &solid_paint(WHITE, 0.82));
@@ -186,7 +186,7 @@ impl ScaleBar {
         let ink = solid_paint(INK, 1.0);
         draw_text(pixmap, &self.label, x, base - thickness - 0.7 * PAD * scale, TEXT * scale, &ink);
         fill_rect(pixmap, [x, base - thickness, self.bar, thickness], &ink);
-        // The second half is hollow, so that the bar can be read as two lengths.
+        // The second half is hollow, so that the bar shows two lengths.
         let edge = 1.2 * scale;
         let hollow =
             [x + 0.5 * self.bar, base - thickness + edge, 0.5 * self.bar - edge, thickness - 2.0 * edge];
@@ -200,7 +200,7 @@ pub(crate) fn round_length(target: f64) -> Option<f64> {
         return None;
     }
     let power = 10_f64.powf(target.log10().floor());
-    // A little more, because the logarithm may be rounded down.
+    // With a tolerance, because the logarithm may be rounded down.
     let steps = [10.0, 5.0, 2.0, 1.0];
     steps.into_iter().map(|s| s * power).find(|l| *l <= target * (1.0 + 1e-9))
 }

@@ -1,4 +1,4 @@
-//! A path in a map, in colours that say what was known on it.
+//! Draws a path over a map in colours that show what was known along it.
 
 use portolan_mapfile::PlacedTexture;
 
@@ -10,13 +10,13 @@ use crate::raster::raster;
 /// A part of a path in one colour.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ColouredLine {
-    /// Of the line.
+    /// Colour of the line.
     pub colour: Rgb,
     /// Map positions in order of time, metres; a single one is a dot.
     pub points: Vec<[f64; 2]>,
 }
 
-/// Draws lines over a map, the last on top. The same picture for any number of threads.
+/// Draws lines over a map, the last on top. The picture does not depend on the number of threads.
 ///
 /// # Errors
 /// If there is nothing to draw, or the picture would be too large.

@@ -1,4 +1,4 @@
-//! Pictures of maps: the ground in colours, and over it trajectories, loop closures and a scale.
+//! Draws pictures of maps: the background in colours, and over it trajectories, loop closures and a scale bar.
 
 use portolan_mapfile::{MapArea, PaintError, PlacedTexture};
 use tiny_skia::{IntSize, Pixmap, PixmapMut, PixmapRef};
@@ -7,27 +7,27 @@ use crate::colour::{rgb, to_bytes};
 use crate::overlay::{ConstraintLine, ScaleBar, TrajectoryLine, draw_constraints, draw_trajectories};
 use crate::raster::{Frame, MapColours, raster};
 
-/// Pictures of more pixels along an edge cannot be asked for.
+/// Upper limit of the maximum number of pixels along an edge.
 pub const MAX_EDGE: usize = 16384;
-/// Room around the map, part of its longer edge.
+/// Margin around the map as a fraction of its longer edge; dimensionless.
 const MARGIN: f64 = 0.03;
-/// Small maps are magnified until their longer edge has this many pixels.
+/// Number of pixels of the longer edge to which small maps are magnified.
 const COMFORTABLE_EDGE: usize = 1200;
-/// A map is never smaller than this in a picture, metres.
+/// Minimum extent of a map in a picture, metres.
 const MIN_EXTENT: f64 = 0.5;
 
-/// What a picture shows and how large it is.
+/// Content and size of a picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PictureOptions {
     /// Metres per pixel; none: chosen so that the picture is neither small nor larger than `max_edge`.
     pub resolution: Option<f64>,
-    /// Most pixels along an edge, 16 to [`MAX_EDGE`].
+    /// Maximum number of pixels along an edge, 16 to [`MAX_EDGE`].
     pub max_edge: usize,
-    /// Only this part of the map.
+    /// Area of the map to draw; none for the whole map.
     pub crop: Option<MapArea>,
     /// Whether there is a scale bar.
     pub scale_bar: bool,
-    /// Colours of space; none: chosen by whether the map knows free space.
+    /// Colours of space; none: chosen by whether the map has free space.
     pub colours: Option<MapColours>,
 }
 
@@ -37,44 +37,44 @@ impl Default for PictureOptions {
     }
 }
 
-/// What to draw.
+/// Content of a map picture.
 #[derive(Clone, Debug, Default)]
 pub struct MapContent<'a> {
     /// Submaps in the order in which they are painted.
     pub textures: &'a [PlacedTexture],
     /// Trajectories over them.
     pub trajectories: &'a [TrajectoryLine],
-    /// Loop closures between the two.
+    /// Loop closures between submaps and trajectories in drawing order.
     pub constraints: &'a [ConstraintLine],
 }
 
-/// Why there is no picture.
+/// Why a picture cannot be drawn.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PictureError {
-    /// The ground cannot be painted.
+    /// The background cannot be painted.
     #[error(transparent)]
     Paint(#[from] PaintError),
-    /// Neither submaps nor trajectories.
+    /// There are neither submaps nor trajectories.
     #[error("there is nothing to draw: no submap has a grid and no trajectory has a node")]
     Nothing,
-    /// The largest edge must be sensible.
+    /// The maximum number of pixels along an edge is out of range.
     #[error("the largest edge must be 16 to {MAX_EDGE} pixels, not {0}")]
     MaxEdge(usize),
-    /// The resolution asked for makes the picture too large.
+    /// The requested resolution makes the picture too large.
     #[error(
         "at {resolution} m a pixel the picture would have {width:.0} x {height:.0} pixels; the longer \
          edge may have {max_edge}: take {enough:.3} m or more, crop, or allow a larger picture"
     )]
     TooLarge {
-        /// Metres per pixel asked for.
+        /// Requested metres per pixel.
         resolution: f64,
-        /// Columns that would be needed.
+        /// Number of columns required.
         width: f64,
-        /// Rows that would be needed.
+        /// Number of rows required.
         height: f64,
-        /// Most pixels along an edge.
+        /// Maximum number of pixels along an edge.
         max_edge: usize,
-        /// A resolution that is coarse enough.
+        /// A resolution that is coarse enough, metres per pixel.
         enough: f64,
     },
 }
@@ -82,13 +82,13 @@ pub enum PictureError {
 /// A finished picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
-    /// Where it lies in the map.
+    /// Area of the picture in the map.
     pub frame: Frame,
     /// Red, green, blue, row by row from the top.
     pub rgb: Vec<u8>,
 }
 
-/// Draws a map, or single submaps of it. The same picture for any number of threads.
+/// Draws a map, or single submaps of it. The picture does not depend on the number of threads.
 ///
 /// # Errors
 /// If there is nothing to draw, or the picture would be too large.
@@ -102,8 +102,8 @@ pub fn draw_map(content: &MapContent, options: &PictureOptions) -> Result<Pictur
     })
 }
 
-/// A picture of a ground (red, green, blue, row by row) with what `draw` draws over it, at the size of strokes
-/// that it is told, and a scale bar where there is most paper.
+/// A picture of a background (red, green, blue, row by row) with the overlay of `draw`, which gets the scale
+/// of strokes, and a scale bar in the corner with the fewest covered pixels.
 pub(crate) fn compose(
     frame: Frame,
     ground: &[u8],
@@ -126,7 +126,7 @@ pub(crate) fn compose(
         let place = emptiest(canvas.as_ref(), bar.places(&frame), paper);
         bar.draw(&mut canvas, place);
     }
-    // Every pixel is opaque, so premultiplied colours are the colours.
+    // Every pixel is opaque, so premultiplied colours equal the colours.
     let mut rgb = vec![0; pixmap.data().len() / 4 * 3];
     for (pixel, &[r, g, b, _]) in rgb.as_chunks_mut::<3>().0.iter_mut().zip(pixmap.data().as_chunks::<4>().0)
     {
@@ -135,7 +135,7 @@ pub(crate) fn compose(
     Ok(Picture { frame, rgb })
 }
 
-/// The first of the places that has the fewest pixels of another colour than the ground.
+/// The first of the rectangles with the fewest pixels that differ from the background colour.
 fn emptiest(canvas: PixmapRef, places: [[f32; 4]; 4], ground: [u8; 3]) -> [f32; 4] {
     let width = canvas.width() as usize;
     let covered = |[x, y, w, h]: [f32; 4]| {
@@ -143,11 +143,11 @@ fn emptiest(canvas: PixmapRef, places: [[f32; 4]; 4], ground: [u8; 3]) -> [f32; 
         let pixels = rows.flat_map(|r| r.chunks_exact(4).skip(x as usize).take(w as usize));
         pixels.filter(|p| !p.starts_with(&ground)).count()
     };
-    // The first of equals, which `min_by_key` also takes.
+    // `min_by_key` returns the first of equal minima.
     places.into_iter().min_by_key(|p| covered(*p)).unwrap_or(places[0])
 }
 
-/// White paper where only walls are known (3D seen from above), grey where free space is known.
+/// White background if only walls are known (3D seen from above), grey if free space is known.
 pub(crate) fn suitable_colours(textures: &[PlacedTexture]) -> MapColours {
     let (mut free, mut known) = (0_u64, 0_u64);
     for placed in textures {
@@ -208,11 +208,10 @@ fn with_margin(area: MapArea) -> MapArea {
     }
 }
 
-/// The part of the map that holds all textures and trajectories.
-/// The rectangle that holds submaps and trajectories.
+/// The rectangle that contains all submaps and trajectories.
 ///
 /// # Errors
-/// There is nothing in it.
+/// There are none.
 pub fn extent(content: &MapContent) -> Result<MapArea, PictureError> {
     let corners = content.textures.iter().flat_map(|placed| {
         let texture = &placed.texture;

@@ -1,4 +1,5 @@
-//! Plots as SVG: lines over an axis, histograms side by side. No fonts, scripts or files are needed beside them.
+//! Draws plots as SVG: lines over an axis, and histograms side by side. They need no external fonts, scripts
+//! or files.
 
 use std::fmt::Write;
 
@@ -6,30 +7,30 @@ use crate::html::escape;
 
 const WIDTH: f64 = 760.0;
 const HEIGHT: f64 = 260.0;
-/// Room for labels: left, right, top, bottom.
+/// Margins for labels: left, right, top, bottom.
 const MARGIN: [f64; 4] = [64.0, 16.0, 30.0, 42.0];
-/// Numbers along an axis, about.
+/// Approximate number of ticks along an axis.
 const TICKS: f64 = 6.0;
 
 /// A line of a plot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlotLine<'a> {
-    /// What it is.
+    /// Name in the legend.
     pub name: &'a str,
-    /// Any colour of CSS.
+    /// Any CSS colour.
     pub colour: &'a str,
-    /// In ascending order of x.
+    /// Points in ascending order of x.
     pub points: Vec<[f64; 2]>,
 }
 
 /// Labels of a plot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlotLabels<'a> {
-    /// Over it.
+    /// Title above the plot.
     pub title: &'a str,
-    /// Along x, with unit.
+    /// Label of the x axis, with unit.
     pub x: &'a str,
-    /// Along y, with unit.
+    /// Label of the y axis, with unit.
     pub y: &'a str,
 }
 
@@ -40,7 +41,7 @@ pub fn line_plot(labels: PlotLabels, lines: &[PlotLine]) -> String {
         all().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), p| (low.min(p[k]), high.max(p[k])))
     };
     let (x, mut y) = (range(0), range(1));
-    // Zero belongs to what shows changes.
+    // The y axis includes zero, so that changes are shown in proportion.
     y = (y.0.min(0.0), y.1.max(0.0));
     let axes = Axes::new(x, y);
     let mut svg = axes.start(labels, &lines.iter().map(|l| (l.name, l.colour)).collect::<Vec<_>>());
@@ -59,15 +60,15 @@ pub fn line_plot(labels: PlotLabels, lines: &[PlotLine]) -> String {
 /// Counts of a histogram.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlotBars<'a> {
-    /// What is counted.
+    /// Counted quantity.
     pub name: &'a str,
-    /// Any colour of CSS.
+    /// Any CSS colour.
     pub colour: &'a str,
-    /// Of equal steps from zero.
+    /// Counts in equal steps from zero.
     pub counts: &'a [u32],
 }
 
-/// Draws histograms beside each other, of steps of `step` from zero; the last step also counts what is larger.
+/// Draws histograms side by side, in steps of `step` from zero; the last step includes larger values.
 pub fn bar_plot(labels: PlotLabels, step: f64, bars: &[PlotBars]) -> String {
     let steps = bars.iter().map(|b| b.counts.len()).max().unwrap_or(0);
     let most = bars.iter().flat_map(|b| b.counts).copied().max().unwrap_or(0);
@@ -90,7 +91,7 @@ pub fn bar_plot(labels: PlotLabels, step: f64, bars: &[PlotBars]) -> String {
     svg + "</svg>"
 }
 
-/// Where values lie in the drawing.
+/// Ranges of the axes; they map values to the drawing.
 struct Axes {
     x: (f64, f64),
     y: (f64, f64),
@@ -109,7 +110,7 @@ impl Axes {
         HEIGHT - MARGIN[3] - (HEIGHT - MARGIN[2] - MARGIN[3]) * (value - self.y.0) / (self.y.1 - self.y.0)
     }
 
-    /// Title, legend, grid and numbers.
+    /// Draws title, legend, grid and numbers.
     fn start(&self, labels: PlotLabels, legend: &[(&str, &str)]) -> String {
         let mut svg = format!(
             "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" xmlns=\"http://www.w3.org/2000/svg\" role=\"img\" \
@@ -167,14 +168,14 @@ impl Axes {
     }
 }
 
-/// A range with some extent.
+/// The range with a margin; never empty.
 fn widened((low, high): (f64, f64)) -> (f64, f64) {
     if !(low.is_finite() && high.is_finite()) {
         return (0.0, 1.0);
     }
     let pad = 0.04 * (high - low);
     match high - low > 1e-12 {
-        // Where something begins at zero, so does the axis.
+        // A range that begins at zero gives an axis that begins at zero.
         true => (if low == 0.0 { low } else { low - pad }, if high == 0.0 { high } else { high + pad }),
         false => (low, high + 1e-3),
     }
@@ -189,7 +190,7 @@ fn ticks((low, high): (f64, f64)) -> Vec<f64> {
     (first..=last).map(|i| i as f64 * step).collect()
 }
 
-/// Few digits.
+/// Formats a number with few digits.
 fn number(value: f64) -> String {
     let text = format!("{value:.6}");
     let text = text.trim_end_matches('0').trim_end_matches('.');

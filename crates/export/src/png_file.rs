@@ -1,4 +1,4 @@
-//! PNG files.
+//! Writes PNG files.
 
 use std::io;
 use std::path::Path;
@@ -21,7 +21,7 @@ pub(crate) fn write_rgb(path: &Path, size: [usize; 2], rgb: &[u8]) -> Result<(),
     write_png(path, png::ColorType::Rgb, size, rgb)
 }
 
-/// Writes the grey values of a painted map: what ROS maps hold, as PNG.
+/// Writes the grey values of a painted map, those of ROS maps, as PNG.
 ///
 /// # Errors
 /// If the file cannot be written.

@@ -1,24 +1,25 @@
-//! Pictures of clouds: points counted pixel by pixel, seen in parallel from any side, a slab of them or all.
+//! Draws pictures of clouds: points counted by pixel in a parallel projection from any side, of a slab or of
+//! all points.
 
 use std::io;
 
-/// A quarter of black marks a pixel with one point, so that thin walls stay visible.
+/// Darkness of a pixel with one point as a fraction of black, so that thin walls stay visible; dimensionless.
 const FAINTEST: f64 = 0.25;
-/// Greys are rounded to so many steps, which packs better and is not seen.
+/// Step to which grey values are rounded: files compress better, with no visible difference.
 const STEP: u8 = 8;
-/// This fraction of the pixels with points is not quite black.
+/// Fraction of the pixels with points that are below full black; dimensionless.
 const STRONG: f64 = 0.97;
 
-/// From where a cloud is seen.
+/// View of a cloud.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PointView {
-    /// What the middle of the picture shows, metres.
+    /// Position at the centre of the picture, metres.
     pub centre: [f64; 3],
     /// Unit vector that points to the right.
     pub right: [f64; 3],
-    /// Unit vector that points up, at a right angle to it.
+    /// Unit vector that points up, at a right angle to `right`.
     pub up: [f64; 3],
-    /// Points farther than this before or behind the centre are not seen, metres.
+    /// Distance in front of or behind the centre beyond which points are left out, metres.
     pub half_depth: f64,
     /// Columns.
     pub width: usize,
@@ -29,8 +30,8 @@ pub struct PointView {
 }
 
 impl PointView {
-    /// A view of `size` metres (width, height), with at most `max_edge` pixels along an edge, and no pixel smaller
-    /// than `finest` metres.
+    /// A view of `size` metres (width, height), with at most `max_edge` pixels along an edge and no pixel
+    /// smaller than `finest` metres.
     pub fn new(
         centre: [f64; 3],
         [right, up]: [[f64; 3]; 2],
@@ -44,12 +45,12 @@ impl PointView {
         Self { centre, right, up, half_depth: f64::INFINITY, width, height, resolution }
     }
 
-    /// The same of a slab about the centre.
+    /// The same view of a slab about the centre.
     pub fn with_half_depth(self, half_depth: f64) -> Self {
         Self { half_depth, ..self }
     }
 
-    /// Pixels to the right and down from the upper left corner; may lie outside of the picture.
+    /// Position in pixels to the right and down from the upper left corner; it may be outside of the picture.
     pub fn place(&self, point: [f64; 3]) -> [f64; 2] {
         let from = self.offset(point);
         [
@@ -58,7 +59,7 @@ impl PointView {
         ]
     }
 
-    /// Row by row, the number of the pixel of a point; none outside of picture and slab.
+    /// Row-major index of the pixel of a point; none outside of picture or slab.
     #[inline]
     pub fn pixel(&self, point: [f64; 3]) -> Option<usize> {
         let [x, y] = self.place(point);
@@ -73,7 +74,7 @@ impl PointView {
         std::array::from_fn(|k| point[k] - self.centre[k])
     }
 
-    /// Metres towards the viewer.
+    /// Distance from the centre towards the viewer, metres.
     fn depth(&self, point: [f64; 3]) -> f64 {
         let ([a, b, c], [u, v, w]) = (self.right, self.up);
         dot(self.offset(point), [b * w - c * v, c * u - a * w, a * v - b * u])
@@ -84,19 +85,19 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Points counted by pixel.
+/// Numbers of points by pixel.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PointImage {
     counts: Vec<u32>,
 }
 
 impl PointImage {
-    /// No points in any pixel of a view.
+    /// An image of a view without points.
     pub fn new(view: &PointView) -> Self {
         Self { counts: vec![0; view.width * view.height] }
     }
 
-    /// Counts a point in the view that the image was made for.
+    /// Counts a point; `view` must be that of the image.
     #[inline]
     pub fn add(&mut self, view: &PointView, point: [f64; 3]) {
         if let Some(count) = view.pixel(point).and_then(|pixel| self.counts.get_mut(pixel)) {
@@ -111,8 +112,8 @@ impl PointImage {
         }
     }
 
-    /// The count that is to be black: nearly all pixels with points have fewer. Images that are compared share the
-    /// larger one.
+    /// The count that is drawn black: nearly all pixels with points have fewer. Images to be compared use the
+    /// larger one of theirs.
     pub fn strong_count(&self) -> u32 {
         let mut hit: Vec<u32> = self.counts.iter().copied().filter(|c| *c > 0).collect();
         let place = (hit.len() as f64 * STRONG) as usize;
@@ -123,7 +124,7 @@ impl PointImage {
         *hit.select_nth_unstable(place).1
     }
 
-    /// Grey values row by row: white without points, black from `strong` points on, logarithmic between.
+    /// Grey values row by row: white without points, black from `strong` points on, logarithmic in between.
     pub fn grey(&self, strong: u32) -> Vec<u8> {
         let full = f64::from(strong.max(1)).ln_1p();
         let grey = |count: &u32| match count {
@@ -163,7 +164,7 @@ mod tests {
         assert_eq!(view.pixel([f64::NAN, 5.0, 0.0]), None);
         let slab = view.with_half_depth(0.2);
         assert_eq!((slab.pixel([10.0, 5.0, 1.1]).is_some(), slab.pixel([10.0, 5.0, 1.3])), (true, None));
-        // From the front: x to the right, z up, y away.
+        // View from the front: x to the right, z up, y away.
         let front = PointView::new([0.0; 3], [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [2.0, 2.0], 20, 0.01)
             .with_half_depth(0.5);
         assert_eq!(front.pixel([-0.95, 0.4, 0.95]), Some(0));

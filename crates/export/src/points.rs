@@ -1,5 +1,5 @@
-//! The pipeline of Cartographer's assets writer: stages through which the points of a recording go, batch
-//! by batch, to be filtered, coloured and written (`tools.md` §3). Files come out byte for byte as there.
+//! The pipeline of Cartographer's assets writer: stages that filter, colour and write the points of a
+//! recording, batch by batch (`tools.md` §3). Files are equal to Cartographer's byte for byte.
 
 mod batch;
 mod clouds;
@@ -22,40 +22,41 @@ pub use error::PointsError;
 pub use floors::{Floor, detect_floors};
 pub use from_lua::{pipeline_from_lua, table_of};
 
-/// What is to be done after all points went through.
+/// Next step after all points have been processed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Flush {
-    /// All points once more.
+    /// Process all points once more.
     Restart,
-    /// Nothing: files are written.
+    /// None: files are written.
     Finished,
 }
 
-/// Where lines of the log go.
+/// Receives lines of the log.
 pub type Log<'a> = &'a mut dyn FnMut(&str);
 
-/// One thing that is done with points.
+/// A stage of the pipeline.
 pub(crate) trait Stage: Send {
-    /// Changes a batch; false keeps it from later stages.
+    /// Changes a batch; false withholds it from later stages.
     fn process(&mut self, batch: &mut PointsBatch) -> Result<bool, PointsError>;
 
-    /// Whether all points are wanted once more. Asked at the end of each pass, before later stages learn of it.
+    /// Whether the stage needs all points once more. Called at the end of each pass, before later stages are
+    /// asked.
     fn wants_another_pass(&mut self, _log: Log) -> bool {
         false
     }
 
-    /// How the pass ended, after later stages have learnt of it.
+    /// Ends the pass with its outcome, after later stages have ended it.
     fn end_pass(&mut self, flush: Flush, log: Log) -> Result<(), PointsError>;
 }
 
-/// What stages need to know besides their options.
+/// Input of stages besides their options.
 #[derive(Clone, Debug, Default)]
 pub struct PipelineContext {
-    /// Put before all names of files.
+    /// Prefix of all file names.
     pub file_prefix: String,
-    /// Poses of the tracking frame, for each trajectory, in order of time: drawn into pictures.
+    /// Poses of the tracking frame for each trajectory, in order of time; they are drawn into pictures.
     pub trajectories: Vec<Vec<(Time, Rigid3)>>,
-    /// The frame of these poses and of all points, which have single precision; files hold places in the map.
+    /// Frame of these poses and of all points, which have single precision; files have positions in the map.
     pub frame: NearFrame,
 }
 
@@ -65,16 +66,16 @@ impl PipelineContext {
     }
 }
 
-/// Stages in their order.
+/// A sequence of stages.
 pub struct Pipeline {
     stages: Vec<Box<dyn Stage>>,
 }
 
 impl Pipeline {
-    /// Sends points through.
+    /// Sends points through the stages.
     ///
     /// # Errors
-    /// If a file cannot be written, or colours and intensities of batches do not belong together.
+    /// If a file cannot be written, or if colours or intensities are missing in some batches.
     pub fn process(&mut self, mut batch: PointsBatch) -> Result<(), PointsError> {
         for stage in &mut self.stages {
             if !stage.process(&mut batch)? {
@@ -84,7 +85,7 @@ impl Pipeline {
         Ok(())
     }
 
-    /// To be called after all points; if the answer is to restart, all points are to come again.
+    /// To be called after all points; with [`Flush::Restart`] all points must be processed again.
     ///
     /// # Errors
     /// If a file cannot be written.

@@ -1,4 +1,4 @@
-//! The ground of a map picture: free, occupied and unknown space in colours.
+//! Draws the background of a map picture: free, occupied and unknown space in colours.
 
 use portolan_mapfile::{MapArea, PaintError, PaintOptions, PlacedTexture, sum_evidence};
 use rayon::prelude::*;
@@ -8,15 +8,15 @@ use crate::colour::{Rgb, mix, to_bytes};
 /// Colours of space.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapColours {
-    /// Seen to be free.
+    /// Colour of free space.
     pub free: Rgb,
-    /// Seen to be occupied.
+    /// Colour of occupied space.
     pub occupied: Rgb,
-    /// Never seen.
+    /// Colour of unknown space.
     pub unknown: Rgb,
 }
 
-/// Where the picture lies in the map.
+/// Area of the picture in the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frame {
     /// Columns.
@@ -30,21 +30,21 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Pixels from the upper left corner of a position in the map.
+    /// Position in the picture, pixels from the upper left corner, of a position in the map.
     pub fn pixel(&self, [x, y]: [f64; 2]) -> (f32, f32) {
         let [left, top] = self.upper_left;
         (((x - left) / self.resolution) as f32, ((top - y) / self.resolution) as f32)
     }
 }
 
-/// Where the picture is coarser than the grids, evidence is summed up to so many times finer and reduced
-/// so that thin walls stay visible.
+/// Maximum factor by which evidence is summed at a finer resolution than that of the picture, if the picture
+/// is coarser than the grids. It is then reduced so that thin walls stay visible.
 const MAX_REDUCTION: usize = 4;
-/// Evidence beyond this adds nothing when it is reduced.
+/// Evidence at which values are clamped before reduction.
 const CERTAIN: i16 = 100;
-/// How far a reduced pixel is pulled from the mean of its parts to the darkest.
+/// Weight of the darkest part, relative to the mean of all parts, in a reduced pixel; 0 to 1.
 const WALL_PULL: f32 = 0.6;
-/// Pixels summed up at a time.
+/// Number of pixels of evidence that are summed at a time.
 const BAND_PIXELS: usize = 16 << 20;
 
 /// Draws the textures as red, green, blue, row by row.
@@ -64,7 +64,7 @@ pub fn raster(
     Ok(rgb)
 }
 
-/// What is known of each pixel.
+/// Evidence of each pixel.
 fn evidence(textures: &[PlacedTexture], frame: &Frame) -> Result<Vec<i16>, PaintError> {
     let mut evidence = vec![0; frame.width * frame.height];
     let finest = textures.iter().map(|t| t.texture.resolution).fold(f64::INFINITY, f64::min);
@@ -97,7 +97,7 @@ fn evidence(textures: &[PlacedTexture], frame: &Frame) -> Result<Vec<i16>, Paint
     Ok(evidence)
 }
 
-/// One value for several: their mean, pulled to the darkest if that is occupied.
+/// Reduces several values to one: their mean, shifted towards the darkest if that one is occupied.
 fn reduced(parts: impl Iterator<Item = i16>) -> i16 {
     let (sum, count, darkest) = parts.fold((0_i32, 0_i32, CERTAIN), |(sum, count, darkest), part| {
         let part = part.clamp(-CERTAIN, CERTAIN);
@@ -108,14 +108,14 @@ fn reduced(parts: impl Iterator<Item = i16>) -> i16 {
     pulled.round() as i16
 }
 
-/// From evidence to colour.
+/// Maps evidence to colours.
 struct Tone {
     /// Colours of −`CERTAIN` to `CERTAIN`.
     colours: Vec<[u8; 3]>,
 }
 
 impl Tone {
-    /// Contrast that suits the map: maps of few scans have little evidence everywhere.
+    /// Adapts the contrast to the map: maps of few scans have little evidence everywhere.
     fn suiting(evidence: &[i16], colours: &MapColours) -> Self {
         let (free, occupied) = (certainty(evidence, 1), certainty(evidence, -1));
         let colour = |e: i16| {
@@ -135,7 +135,7 @@ impl Tone {
     }
 }
 
-/// The evidence that is to have the full colour: what most pixels of this sign reach, within bounds.
+/// Evidence that gets the full colour: the median over the pixels of this sign, within limits.
 fn certainty(evidence: &[i16], sign: i16) -> f32 {
     let mut histogram = [0_u64; CERTAIN as usize + 1];
     for e in evidence {

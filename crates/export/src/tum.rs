@@ -1,4 +1,4 @@
-//! Trajectories as text: one pose a line, `time x y z qx qy qz qw`.
+//! Writes trajectories as text with one pose per line: `time x y z qx qy qz qw`.
 
 use std::io::Write;
 use std::path::Path;
@@ -6,8 +6,8 @@ use std::path::Path;
 use portolan_atomic_file::{AtomicFile, WriteError};
 use portolan_geometry::{Rigid3, Time};
 
-/// Writes a trajectory. Times are Unix seconds with seven exact places, positions metres and quaternions
-/// with nine.
+/// Writes a trajectory. Times are Unix seconds with seven exact decimal places; positions (metres) and
+/// quaternions have nine.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -24,7 +24,7 @@ pub fn write_tum<'a>(
     file.commit()
 }
 
-/// One line of such a file, without its end.
+/// One line of such a file, without its line break.
 pub fn tum_line(time: Time, pose: &Rigid3) -> String {
     let (t, q) = (&pose.translation, pose.rotation.quaternion());
     format!(

@@ -1,9 +1,10 @@
-//! X-ray pictures of clouds: how much stands one behind the other along a direction (`spec/formats.md` §6.4).
+//! X-ray pictures of clouds: the number of occupied voxels along a direction (`spec/formats.md` §6.4).
 //!
-//! A pixel is the darker the more occupied voxels lie along its line of sight, on a logarithmic scale: walls seen
-//! from above are dark, floors are faint. Unlike Cartographer a single voxel is not white, the darkest tone is
-//! that of the 99.5th percentile instead of the one darkest pixel, and voxels are shared among the four nearest
-//! pixels, so that grids that are turned against each other make no pattern.
+//! A pixel is darker the more occupied voxels are along its line of sight, on a logarithmic scale. Seen from
+//! above walls are dark and floors are faint. There are three differences from Cartographer: a single voxel
+//! is not white; the darkest tone is that of the 99.5th percentile instead of the darkest pixel; and each
+//! voxel is shared among the four nearest pixels, so that grids rotated relative to each other cause no moiré
+//! pattern.
 
 mod sample;
 
@@ -13,17 +14,17 @@ use crate::picture::{Picture, PictureError, compose};
 use crate::raster::Frame;
 pub use sample::{CloudSample, Extent};
 
-/// Room around the cloud, part of its longer edge.
+/// Margin around the cloud as a fraction of its longer edge; dimensionless.
 const MARGIN: f64 = 0.03;
-/// Paper and ink of X-rays.
+/// Colours of X-rays: background and darkest tone.
 const PAPER: Rgb = rgb(0xffffff);
 const INK: Rgb = rgb(0x0d1b2a);
-/// Ground of coloured pictures.
+/// Background of coloured pictures.
 const NIGHT: Rgb = rgb(0x12161c);
-/// Fraction of the pixels that are not darker than the darkest tone.
+/// Fraction of the pixels that are at most as dark as the darkest tone; dimensionless.
 const DARKEST: f64 = 0.995;
 
-/// A direction to look in, level or down, of a map turned by an angle.
+/// A viewing direction, horizontal or down, in a rotated map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct XrayView {
     right: [f64; 3],
@@ -31,19 +32,19 @@ pub struct XrayView {
 }
 
 impl XrayView {
-    /// From above; `yaw` is the direction in the map that points right, radians.
+    /// View from above; `yaw` is the direction in the map that points right, radians.
     pub fn top(yaw: f64) -> Self {
         let (s, c) = yaw.sin_cos();
         Self { right: [c, s, 0.0], up: [-s, c, 0.0] }
     }
 
-    /// Level; `yaw` is the direction in the map that points right, radians.
+    /// Horizontal view; `yaw` is the direction in the map that points right, radians.
     pub fn level(yaw: f64) -> Self {
         let (s, c) = yaw.sin_cos();
         Self { right: [c, s, 0.0], up: [0.0, 0.0, 1.0] }
     }
 
-    /// Metres to the right and up of a position in the map.
+    /// Projects a position in the map: metres to the right and up.
     #[inline]
     pub fn project(&self, position: [f64; 3]) -> [f64; 2] {
         [self.right, self.up]
@@ -51,19 +52,19 @@ impl XrayView {
     }
 }
 
-/// A picture while voxels are added to it.
+/// A picture to which voxels are added.
 #[derive(Clone, Debug)]
 pub struct XrayPicture {
     frame: Frame,
     pixels_per_metre: f64,
     weights: Vec<f32>,
-    /// Weighted sums of what colours the pixels; empty for ink on paper.
+    /// Weighted sums of the tints of pixels; empty for black on white.
     tints: Vec<f32>,
 }
 
 impl XrayPicture {
-    /// Of what lies between two projected corners (metres to the right and up), with some room around. Pixels are
-    /// at least `resolution` metres and so large that neither edge has more than `max_edge` of them.
+    /// A picture of the area between two projected corners (metres to the right and up), with a margin.
+    /// Pixels are at least `resolution` metres, and so large that no edge has more than `max_edge` of them.
     pub fn new(from: [f64; 2], to: [f64; 2], resolution: f64, max_edge: usize, is_coloured: bool) -> Self {
         let size = [to[0] - from[0], to[1] - from[1]].map(|s| if s.is_finite() { s.max(0.5) } else { 0.5 });
         let margin = MARGIN * size[0].max(size[1]);
@@ -77,8 +78,8 @@ impl XrayPicture {
         Self { frame, pixels_per_metre: 1.0 / resolution, weights: vec![0.0; pixels], tints }
     }
 
-    /// Adds an occupied voxel at a projected position. In coloured pictures `tint` is 0 for the first colour and 1
-    /// for the last, and pixels get the mean.
+    /// Adds an occupied voxel at a projected position. In coloured pictures `tint` is 0 for the first colour
+    /// and 1 for the last; pixels get the mean.
     #[inline]
     pub fn add(&mut self, position: [f64; 2], tint: f64) {
         let [left, top] = self.frame.upper_left;
@@ -88,7 +89,7 @@ impl XrayPicture {
         if !((-1.0..width as f32).contains(&x) && (-1.0..height as f32).contains(&y)) {
             return;
         }
-        // One more pixel to the left and above, so that rounding to zero rounds down.
+        // Shifted by one pixel to the left and above, so that truncation rounds down.
         let (column, row) = ((x + 1.0) as usize, (y + 1.0) as usize);
         let (fx, fy) = (x + 1.0 - column as f32, y + 1.0 - row as f32);
         let shares = [[(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy)], [(1.0 - fx) * fy, fx * fy]];
@@ -119,7 +120,7 @@ impl XrayPicture {
     /// The finished picture with trajectories (projected), a title and a scale bar.
     ///
     /// # Errors
-    /// Fails only if there is no memory for a picture of that size.
+    /// Fails only if there is not enough memory for a picture of that size.
     pub fn finish(&self, trajectories: &[TrajectoryLine], title: &str) -> Result<Picture, PictureError> {
         let full = self.darkest();
         let tone = |weight: f32| (weight.ln_1p() / full.ln_1p()).min(1.0);
@@ -143,7 +144,7 @@ impl XrayPicture {
         })
     }
 
-    /// The weight that gets the full tone.
+    /// The weight of the darkest tone.
     fn darkest(&self) -> f32 {
         let mut weights: Vec<f32> = self.weights.iter().copied().filter(|w| *w > 0.05).collect();
         if weights.is_empty() {
@@ -155,7 +156,7 @@ impl XrayPicture {
     }
 }
 
-/// Blue at 0, over green and yellow, to red at 1.
+/// Colour scale from blue at 0, over green and yellow, to red at 1.
 pub fn colour_of_share(share: f64) -> Rgb {
     hsv(0.66 * (1.0 - share.clamp(0.0, 1.0) as f32), 0.75, 1.0)
 }

@@ -1,4 +1,4 @@
-//! Clouds, graphs, trajectories, relations, surfaces, configurations and descriptions.
+//! Fuzz targets for clouds, graphs, trajectories, relations, surfaces, configurations and robot descriptions.
 
 use std::time::Duration;
 
@@ -16,20 +16,20 @@ use portolan_solver::g2o::{Initialization, OptimizeOptions, optimize_graph, read
 
 use crate::parts;
 
-/// Most bytes that are unpacked.
+/// Maximum number of decompressed bytes.
 const LIMIT: usize = 1 << 24;
-/// So short that the fuzzer does not take an endless loop for a fault.
+/// Limits of the Lua interpreter. The time is so short that the fuzzer does not report an endless loop as a fault.
 const LIMITS: Limits = Limits { time: Duration::from_millis(300), memory: 32 << 20 };
-/// How files of a format begin: nothing chosen, PLY, LAS, E57, PCD.
+/// Beginnings of files by format: none, PLY, LAS, E57, PCD.
 const STARTS: [&[u8]; 5] =
     [b"", b"ply\nformat ", b"LASF", b"ASTM-E57", b"# .PCD v.7\nVERSION .7\nFIELDS x y z"];
-/// A file can stand for billions of points by repeating nothing.
+/// Maximum number of batches that are read: a small file can declare billions of points.
 const BATCHES: usize = 64;
 
-/// Data of bzip2, unpacked twice with the same memory.
+/// bzip2 data, decompressed twice with the same decompressor.
 ///
 /// # Panics
-/// The second time gives something else, or more than was allowed.
+/// If the two results differ or exceed the limit.
 pub fn bzip2(packed: &[u8]) {
     let (mut unpacker, mut first, mut second) = (Unpacker::default(), Vec::new(), Vec::new());
     let _ = unpacker.unpack(packed, LIMIT, &mut first);
@@ -37,7 +37,7 @@ pub fn bzip2(packed: &[u8]) {
     assert!(first == second && first.len() <= LIMIT);
 }
 
-/// Files of point clouds of every format. The first byte chooses the format, so that the fuzzer need not find its magic
+/// Point cloud files of every format. The first byte selects the format, so that the fuzzer need not find its magic
 /// bytes.
 pub fn cloud(bytes: &[u8]) {
     let Some((first, rest)) = bytes.split_first() else { return };
@@ -76,7 +76,7 @@ pub fn uos(bytes: &[u8]) {
     }
 }
 
-/// Configurations: Lua text from start to options, or JSON if the first byte is odd.
+/// Configurations: Lua text up to the options, or JSON if the first byte is odd.
 pub fn config(bytes: &[u8]) {
     let Some((first, rest)) = bytes.split_first() else { return };
     let Ok(text) = std::str::from_utf8(rest) else { return };
@@ -90,7 +90,7 @@ pub fn config(bytes: &[u8]) {
     }
 }
 
-/// Robot descriptions, and the tree of their frames.
+/// Robot descriptions (URDF) and their trees of frames.
 pub fn urdf(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else { return };
     if let Ok(robot) = parse_urdf(text, false) {
@@ -100,10 +100,10 @@ pub fn urdf(bytes: &[u8]) {
     }
 }
 
-/// Pose graphs: read, optimised with every start, written and read again.
+/// Pose graphs: read, written and read again, and small ones optimised with every initialisation.
 ///
 /// # Panics
-/// What is written is not read again as it was.
+/// If a written graph cannot be read without repairs, or with other numbers of vertices and edges.
 pub fn g2o(bytes: &[u8]) {
     let Ok((graph, _)) = read_g2o(bytes) else { return };
     let mut text = Vec::new();
@@ -126,10 +126,10 @@ pub fn g2o(bytes: &[u8]) {
     }
 }
 
-/// Trajectories in every format, and what is written of them.
+/// Trajectories: read and written in every format.
 ///
 /// # Panics
-/// Memory does not take what is written.
+/// If writing to memory fails.
 pub fn trajectory(bytes: &[u8]) {
     for (trajectory, _) in [read_tum(bytes), read_csv(bytes)].into_iter().flatten() {
         trajectory.covered_distances();
@@ -143,10 +143,10 @@ pub fn trajectory(bytes: &[u8]) {
     let _ = read_kitti_times(bytes);
 }
 
-/// Relations as text and as Cartographer's binary files, and what is written of them.
+/// Relations as text and as Cartographer's binary files: read, written and read again.
 ///
 /// # Panics
-/// What is written is not read again with as many relations.
+/// If the number of relations changes by writing and reading.
 pub fn relations(bytes: &[u8]) {
     if let Ok(found) = read_text_relations(bytes) {
         let mut out = Vec::new();
@@ -161,7 +161,7 @@ pub fn relations(bytes: &[u8]) {
     }
 }
 
-/// True surfaces: boxes as text, meshes, and outlines in GeoJSON.
+/// Ground-truth surfaces: boxes as text, meshes, and outlines in GeoJSON.
 pub fn surfaces(bytes: &[u8]) {
     let _ = read_boxes(bytes);
     if is_mesh(bytes) {

@@ -11,13 +11,13 @@ pub use maps::pbstream;
 pub use messages::{cdr, packets, pointcloud2};
 pub use recordings::{carmen, coreslam, db3, kitti, mcap, pcap, ros1_bag};
 
-/// What is done with the bytes of a fuzzer.
+/// Fuzz target: processes the bytes of a fuzzer.
 pub type Body = fn(&[u8]);
 
-/// Between the parts of an input that stands for several files.
+/// Separator (form feed) between the parts of an input that represents several files.
 pub const SEPARATOR: u8 = 0x0c;
 
-/// All of them, by the names of their targets.
+/// All fuzz targets by name.
 pub const BODIES: [(&str, Body); 20] = [
     ("bzip2", bzip2),
     ("carmen", carmen),
@@ -41,7 +41,7 @@ pub const BODIES: [(&str, Body); 20] = [
     ("urdf", urdf),
 ];
 
-/// The parts of an input that stands for `N` files; those that are missing are empty.
+/// Parts of an input that represents `N` files; missing parts are empty.
 fn parts<const N: usize>(bytes: &[u8]) -> [&[u8]; N] {
     let mut parts = bytes.splitn(N, |byte| *byte == SEPARATOR);
     std::array::from_fn(|_| parts.next().unwrap_or_default())

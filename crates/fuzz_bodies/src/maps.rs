@@ -1,18 +1,18 @@
-//! Maps: any bytes as a file, checked, summed up, drawn, repaired, migrated and edited.
+//! Fuzz target for maps: arbitrary bytes as a file are validated, summarised, drawn, repaired, migrated and edited.
 
 use std::path::Path;
 
 use portolan_mapfile::{MapDraft, MigrateOptions, PaintOptions, info, load_textures, migrate, paint, repair};
 use portolan_pbstream::{MapReader, PbstreamReader, PbstreamWriter, ReadLimits, Severity, validate};
 
-/// Small, so that the fuzzer does not call honest large messages a fault.
+/// Small limits, so that the fuzzer does not report valid large messages as faults.
 const LIMITS: ReadLimits = ReadLimits { max_compressed_bytes: 1 << 20, max_message_bytes: 1 << 20 };
 
-/// The first byte says whether the rest is a file as it is, or one message that is packed and put in its place in a map,
-/// so that the content of messages is reached and not only their compression.
+/// Reads and processes a map. The first byte selects whether the rest is a whole file, or one message that is compressed
+/// and inserted into a map, so that the fuzzer reaches the content of messages and not only their compression.
 ///
 /// # Panics
-/// A map that was repaired has errors.
+/// If a repaired map has errors.
 pub fn pbstream(bytes: &[u8]) {
     let Ok(folder) = tempfile::tempdir() else { return };
     let (path, out) = (folder.path().join("map.pbstream"), folder.path().join("out.pbstream"));
@@ -26,7 +26,7 @@ pub fn pbstream(bytes: &[u8]) {
     }
 }
 
-/// A map of four messages of which one is the bytes.
+/// Writes a map of four messages, of which the one at index `place` is `message`; returns whether it was written.
 fn write_map(path: &Path, place: usize, message: &[u8]) -> bool {
     let empty = [&[8, 2][..], &[10, 0], &[18, 0], &[26, 0]];
     let write = || -> Result<(), portolan_pbstream::PbstreamError> {

@@ -1,4 +1,4 @@
-//! Messages: serialised ones, packets of lidars, and point clouds of any layout.
+//! Fuzz targets for messages: serialised ROS messages, lidar packets, and point clouds of any layout.
 
 use portolan_geometry::{Duration, Time};
 use portolan_ingest::{IngestOptions, Ingestion};
@@ -32,7 +32,7 @@ const FIELD_TYPES: [Option<FieldType>; 9] = [
     Some(FieldType::Float64),
 ];
 
-/// Numbers taken from the front of the bytes; zeros at their end.
+/// Reads numbers from the front of the bytes; after their end, zeros.
 struct Input<'a>(&'a [u8]);
 
 impl Input<'_> {
@@ -61,7 +61,8 @@ fn string(text: &str) -> Vec<u8> {
     [&(text.len() as u32).to_le_bytes(), text.as_bytes()].concat()
 }
 
-/// A serialised message as the only one of an MCAP file: the first byte says of which type, the second whether in CDR.
+/// A serialised message as the only message of an MCAP file: the first byte selects the type, the second whether it is
+/// CDR or ROS 1 serialisation.
 pub fn cdr(bytes: &[u8]) {
     let mut input = Input(bytes);
     let (kind, is_cdr) = (input.byte(), input.byte() % 2 == 0);
@@ -78,8 +79,8 @@ pub fn cdr(bytes: &[u8]) {
     }
 }
 
-/// Packets of lidars, without a capture around them: a link type, the size of a description, the description, and packets,
-/// each with its size in two bytes and the time since the last one in two.
+/// Lidar packets without a capture file. The bytes are a link type, the size of a description, the description, and
+/// packets, each preceded by its size (two bytes) and the time since the last packet (two bytes).
 pub fn packets(bytes: &[u8]) {
     let mut input = Input(bytes);
     let (link_type, length) = (input.word(), usize::from(u16::from_le_bytes(input.take())));
@@ -111,7 +112,8 @@ pub fn packets(bytes: &[u8]) {
     datagrams.finish(&mut issues);
 }
 
-/// Point clouds of any layout, through survey, plan and conversion: how many fields, the fields, sizes, flags, data.
+/// Point clouds of any layout, through survey, plan and conversion. The bytes are the number of fields, the fields,
+/// sizes, flags and data.
 pub fn pointcloud2(bytes: &[u8]) {
     let mut input = Input(bytes);
     let count = input.byte() % 20;

@@ -1,4 +1,4 @@
-//! Recordings, read to the end.
+//! Fuzz targets for recordings, which are read to the end.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ fn read_to_the_end(recording: Result<Box<dyn Recording>, RecordingError>) {
     }
 }
 
-/// What follows the magic of a format is enough; a whole file will do, too.
+/// Prepends the magic bytes of a format unless the input begins with them.
 fn with_magic(magic: &[u8], bytes: &[u8]) -> Vec<u8> {
     if bytes.starts_with(magic) { bytes.to_vec() } else { [magic, bytes].concat() }
 }
@@ -44,7 +44,7 @@ pub fn carmen(bytes: &[u8]) {
     text_log("fuzz.clf", bytes);
 }
 
-/// CoreSLAM logs: a good line first, so that the rest is taken for one.
+/// CoreSLAM logs. A valid line is prepended, so that the format is recognised.
 pub fn coreslam(bytes: &[u8]) {
     let line = format!("1 2{}\n", " 3".repeat(705));
     text_log("fuzz.dat", &[line.as_bytes(), bytes].concat());
@@ -58,8 +58,8 @@ fn text_log(name: &str, bytes: &[u8]) {
     }
 }
 
-/// Raw drives of KITTI: times of sweeps, times and a reading of the INS, and two sweeps of the same points. Parts are
-/// separated by form feeds.
+/// Raw KITTI drives: times of sweeps, times of the INS, one INS reading, and one sweep; reading and sweep are used
+/// twice. The parts of the input are separated by form feeds.
 pub fn kitti(bytes: &[u8]) {
     let Ok(folder) = tempfile::tempdir() else { return };
     let [times, ins_times, reading, sweep] = parts(bytes);

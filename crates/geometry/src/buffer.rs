@@ -1,4 +1,4 @@
-//! Poses in time: interpolation and a buffer to look them up in.
+//! Interpolation of poses in time, and a buffer of timed poses.
 
 use std::collections::VecDeque;
 
@@ -6,8 +6,9 @@ use nalgebra as na;
 
 use crate::{Quaternion, Rigid3, Time};
 
-/// The pose at `time` between two timed poses: linear translation, spherical rotation by the shorter
-/// arc. `time` may lie outside the span, where the same motion goes on. Equal times give `start`.
+/// The pose at `time` between two timed poses: linear interpolation of translation, spherical interpolation
+/// of rotation along the shorter arc. Outside the span the same motion is extrapolated. Equal times give
+/// `start`.
 pub fn interpolate(start_time: Time, start: &Rigid3, end_time: Time, end: &Rigid3, time: Time) -> Rigid3 {
     let span = end_time.seconds_since(start_time);
     if span == 0.0 {
@@ -19,8 +20,8 @@ pub fn interpolate(start_time: Time, start: &Rigid3, end_time: Time, end: &Rigid
     Rigid3::from_parts(na::Translation3::from(translation), rotation)
 }
 
-/// Spherical interpolation by the shorter arc. Half a turn apart, where the arc is not determined,
-/// the start is kept.
+/// Spherical interpolation along the shorter arc. At half a revolution, where the arc is undefined, the start
+/// is returned.
 fn slerp(start: &Quaternion, end: &Quaternion, factor: f64) -> Quaternion {
     start.try_slerp(end, factor, 1e-12).unwrap_or(*start)
 }
@@ -43,8 +44,7 @@ impl TransformBuffer {
         Self { poses: VecDeque::new(), size_limit: Some(size_limit.max(1)) }
     }
 
-    /// Adds a pose. A time that is already there replaces the pose; an earlier one is put in its
-    /// place.
+    /// Adds a pose. It replaces a pose of the same time; a pose earlier than others is inserted in order.
     pub fn push(&mut self, time: Time, pose: Rigid3) {
         let index = self.poses.partition_point(|(t, _)| *t < time);
         match self.poses.get_mut(index) {
@@ -58,19 +58,19 @@ impl TransformBuffer {
         }
     }
 
-    /// Forgets everything before `time` except the last pose before it, which interpolation needs.
+    /// Removes everything before `time` except the last pose before it, which interpolation needs.
     pub fn forget_before(&mut self, time: Time) {
         while self.poses.len() > 1 && self.poses[1].0 <= time {
             self.poses.pop_front();
         }
     }
 
-    /// Whether `time` lies within the buffered span (ends included).
+    /// Whether `time` is within the buffered span (ends included).
     pub fn has(&self, time: Time) -> bool {
         matches!((self.poses.front(), self.poses.back()), (Some(a), Some(b)) if a.0 <= time && time <= b.0)
     }
 
-    /// The interpolated pose, if `time` lies within the buffered span.
+    /// The interpolated pose, if `time` is within the buffered span.
     pub fn lookup(&self, time: Time) -> Option<Rigid3> {
         if !self.has(time) {
             return None;
@@ -100,12 +100,12 @@ impl TransformBuffer {
         self.poses.back().map(|p| p.0)
     }
 
-    /// How many poses there are.
+    /// Number of poses.
     pub fn len(&self) -> usize {
         self.poses.len()
     }
 
-    /// Whether there is none.
+    /// Whether there are no poses.
     pub fn is_empty(&self) -> bool {
         self.poses.is_empty()
     }

@@ -1,4 +1,4 @@
-//! Places on the Earth (WGS 84): degrees, Earth-centred coordinates (ECEF), local frames.
+//! Positions on the Earth (WGS 84): degrees, Earth-centred coordinates (ECEF), local frames.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -11,7 +11,8 @@ pub const STANDARD_GRAVITY: f64 = 9.806_65;
 const EQUATOR: f64 = 6_378_137.0;
 const FLATTENING: f64 = 1.0 / 298.257_223_563;
 
-/// The functions to compute with: those of the standard library differ in the last bit between systems.
+/// The trigonometric functions to compute with: those of the standard library differ in the last bit between
+/// systems.
 #[derive(Clone, Copy, Debug)]
 pub struct Trigonometry {
     /// Sine and cosine of radians.
@@ -25,7 +26,7 @@ impl Trigonometry {
     pub const STANDARD: Self = Self { sin_cos: f64::sin_cos, atan2: f64::atan2 };
 }
 
-/// A place on the Earth.
+/// A position on the Earth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GeodeticPosition {
     /// Degrees, north positive.
@@ -36,7 +37,7 @@ pub struct GeodeticPosition {
     pub altitude: f64,
 }
 
-/// A frame with x to the east, y to the north and z up, at a place on the Earth.
+/// A frame with x to the east, y to the north and z up, at a position on the Earth.
 #[derive(Clone, Copy, Debug)]
 pub struct EastNorthUp {
     /// ECEF, metres.
@@ -71,8 +72,8 @@ impl GeodeticPosition {
         Vector3::new(horizontal * cos_lon, horizontal * sin_lon, (axis_ratio() * n + self.altitude) * sin_lat)
     }
 
-    /// The place of ECEF coordinates, metres: latitude and altitude by fixed-point iteration, which converges by a
-    /// factor of 300 a step near the ground.
+    /// The position for ECEF coordinates, metres. Latitude and altitude are found by fixed-point iteration,
+    /// which converges by a factor of 300 per step near the ground.
     pub fn from_ecef_with(ecef: &Vector3<f64>, functions: &Trigonometry) -> Self {
         let across = (ecef.x * ecef.x + ecef.y * ecef.y).sqrt();
         let e2 = 1.0 - axis_ratio();
@@ -88,15 +89,15 @@ impl GeodeticPosition {
         Self { latitude_degrees: latitude.to_degrees(), longitude_degrees: longitude.to_degrees(), altitude }
     }
 
-    /// Whether it is a place on the Earth, or above it.
+    /// Whether this is a position on the Earth or above it.
     pub fn is_valid(&self) -> bool {
         self.latitude_degrees.abs() <= 90.0
             && self.longitude_degrees.abs() <= 360.0
             && self.altitude.is_finite()
     }
 
-    /// The local frame of a first fix: `local_from_ecef`, such that its own place at altitude h becomes
-    /// (0, 0, h), z up, x south, y east.
+    /// The local frame of a first fix: `local_from_ecef`, such that its own position at altitude h becomes
+    /// (0, 0, h), with z up, x south and y east.
     pub fn local_from_ecef(&self) -> Rigid3 {
         let pitch = (self.latitude_degrees - 90.0).to_radians();
         let rotation: Quaternion = rotation_from_roll_pitch_yaw(0.0, pitch, 0.0)
@@ -123,12 +124,12 @@ impl EastNorthUp {
         Self { origin: origin.to_ecef_with(&functions), ecef_from_local, functions }
     }
 
-    /// Where a local position, metres, is on the Earth.
+    /// The geodetic position of a local position, metres.
     pub fn to_geodetic(&self, local: &Vector3<f64>) -> GeodeticPosition {
         GeodeticPosition::from_ecef_with(&(self.origin + self.ecef_from_local * local), &self.functions)
     }
 
-    /// The local position, metres, of a place on the Earth.
+    /// The local position, metres, of a geodetic position.
     pub fn from_geodetic(&self, place: &GeodeticPosition) -> Vector3<f64> {
         self.ecef_from_local.transpose() * (place.to_ecef_with(&self.functions) - self.origin)
     }

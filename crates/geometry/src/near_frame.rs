@@ -1,30 +1,32 @@
-//! Coordinates far from the origin, as in UTM and Gauss–Krüger, reckoned with near the data.
+//! Computes with coordinates far from the origin, as in UTM and Gauss–Krüger, in a frame near the data.
 //!
-//! Single precision has steps of half a metre at 5,000 km. What works in it works in a frame near the data, with the axes of the
-//! map, and its results are carried back.
+//! At 5,000 km from the origin single precision has a resolution of half a metre. Single-precision
+//! computations therefore use a frame near the data with the axes of the map, and their results are
+//! transformed back.
 
 use crate::{Rigid3, Vector3};
 
-/// Within this of the origin, metres, the frame of the map itself will do: single precision has steps of a quarter of a millimetre
-/// there.
+/// Distance from the origin within which the map frame itself is used, metres: single precision has a
+/// resolution of a quarter of a millimetre there.
 const NEAR: f64 = 4096.0;
-/// Origins of other frames are multiples of this, metres: a power of two, so that what is carried there and back keeps the bits
-/// that it has far from the origin.
+/// Origins of other frames are multiples of this, metres. It is a power of two, so that a transformation
+/// there and back keeps the bits that a coordinate has far from the origin.
 const STEP: f64 = 1024.0;
 
-/// No coordinate on the Earth is larger, metres, whether counted from its centre, or in zones with their number in front (61 zones
-/// of a million metres). Double precision has steps of 15 nm there.
+/// Upper bound of all coordinates on the Earth, metres: Earth-centred ones, and those in zones with the zone
+/// number as prefix (61 zones of a million metres). Double precision has a resolution of 15 nm there.
 pub const FARTHEST_COORDINATE: f64 = 1e8;
 
-/// Whether a position is one on the Earth, as far as its coordinates tell: finite, and none beyond [`FARTHEST_COORDINATE`].
+/// Whether a position can be on the Earth: its coordinates are finite, and none exceeds
+/// [`FARTHEST_COORDINATE`].
 pub fn is_on_earth(position: &Vector3) -> bool {
     position.iter().all(|v| v.abs() <= FARTHEST_COORDINATE)
 }
 
-/// A frame near the data of a map, with the axes of the map; the frame of the map itself where that is near.
+/// A frame near the data of a map, with the axes of the map; the map frame itself if that is near.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NearFrame {
-    /// In the map, metres.
+    /// Origin in the map, metres.
     origin: Vector3,
 }
 
@@ -35,7 +37,7 @@ impl Default for NearFrame {
 }
 
 impl NearFrame {
-    /// About the median of positions along each axis, so that a few that lie elsewhere do not count.
+    /// A frame at the median of positions along each axis, so that a few outliers have no effect.
     pub fn around(positions: impl IntoIterator<Item = Vector3>) -> Self {
         let mut positions: Vec<Vector3> = positions.into_iter().filter(is_on_earth).collect();
         let mut median = |axis: usize| -> f64 {
@@ -50,7 +52,7 @@ impl NearFrame {
         Self { origin }
     }
 
-    /// Whether it is the frame of the map itself.
+    /// Whether this is the map frame itself.
     pub fn is_map(&self) -> bool {
         self.origin == Vector3::zeros()
     }
@@ -60,20 +62,21 @@ impl NearFrame {
         self.origin
     }
 
-    /// A pose in the map as one in this frame.
+    /// Transforms a pose from the map to this frame.
     pub fn near(&self, in_map: &Rigid3) -> Rigid3 {
         moved(in_map, &-self.origin)
     }
 
-    /// A pose in this frame as one in the map.
+    /// Transforms a pose from this frame to the map.
     pub fn in_map(&self, near: &Rigid3) -> Rigid3 {
         moved(near, &self.origin)
     }
 }
 
-/// A pose moved along the axes of its frame, metres: bit by bit as it was but for the axes along which it is moved.
+/// A pose translated along the axes of its frame, metres. Coordinates along axes without translation keep all
+/// bits.
 pub fn moved(pose: &Rigid3, by: &Vector3) -> Rigid3 {
-    // Zero added to minus zero is zero.
+    // Adding zero to minus zero would give plus zero.
     let place = pose.translation.vector.zip_map(by, |v, by| if by == 0.0 { v } else { v + by });
     Rigid3::from_parts(place.into(), pose.rotation)
 }

@@ -7,16 +7,16 @@ use nalgebra as na;
 
 use crate::Vector2;
 
-/// A 2D pose. The angle is stored as it comes (not wrapped), so that optimisation can pass ±π.
+/// A 2D pose. The angle is not wrapped, so that optimisation can pass ±π.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rigid2 {
     /// Metres.
     pub translation: Vector2,
-    /// Radians, any turn.
+    /// Radians, not wrapped.
     pub angle: f64,
 }
 
-/// The angle moved into [−π, π] by whole turns; ±π stay as they are. Not finite stays not finite.
+/// The angle wrapped into [−π, π]; ±π stay as they are. An angle that is not finite stays so.
 pub fn normalize_angle(angle: f64) -> f64 {
     if (-PI..=PI).contains(&angle) || !angle.is_finite() {
         return angle;
@@ -31,7 +31,7 @@ impl Rigid2 {
         Self { translation: Vector2::new(x, y), angle }
     }
 
-    /// The pose that changes nothing.
+    /// The identity.
     pub fn identity() -> Self {
         Self::new(0.0, 0.0, 0.0)
     }
@@ -42,7 +42,7 @@ impl Rigid2 {
         na::Matrix2::new(c, -s, s, c)
     }
 
-    /// The transform back.
+    /// The inverse transform.
     pub fn inverse(&self) -> Self {
         let translation = -(self.rotation_matrix().transpose() * self.translation);
         Self { translation, angle: -self.angle }
@@ -58,12 +58,12 @@ impl Rigid2 {
         self.translation.x.is_finite() && self.translation.y.is_finite() && self.angle.is_finite()
     }
 
-    /// Where a point goes.
+    /// The transformed point.
     pub fn transform_point(&self, point: &Vector2) -> Vector2 {
         self.point_transform()(point)
     }
 
-    /// Where points go, for many of them: its sine and cosine are computed once.
+    /// A function that transforms points: for many points, sine and cosine are computed once.
     #[inline]
     pub fn point_transform(&self) -> impl Fn(&Vector2) -> Vector2 + Copy + use<> {
         let (rotation, translation) = (self.rotation_matrix(), self.translation);

@@ -4,7 +4,7 @@ use nalgebra as na;
 
 use crate::{Quaternion, Vector3};
 
-/// The direction in the plane to which the rotation takes the x axis, in (−π, π].
+/// The direction in the xy plane to which the rotation takes the x axis, in (−π, π].
 pub fn yaw(rotation: &Quaternion) -> f64 {
     let direction = rotation * Vector3::x();
     direction.y.atan2(direction.x)
@@ -48,8 +48,8 @@ pub fn roll_pitch_yaw(rotation: &Quaternion) -> (f64, f64, f64) {
     rotation.euler_angles()
 }
 
-/// The smallest rotation that takes direction `from` to direction `to`; identity where either has no
-/// direction, half a turn about some perpendicular axis where they are opposite.
+/// The smallest rotation that takes direction `from` to direction `to`. The identity if one of them has no
+/// direction; half a revolution about some perpendicular axis if they are opposite.
 pub fn rotation_between(from: &Vector3, to: &Vector3) -> Quaternion {
     let (Some(a), Some(b)) = (from.try_normalize(0.0), to.try_normalize(0.0)) else {
         return Quaternion::identity();

@@ -8,8 +8,8 @@ const TICKS_PER_SECOND: i64 = 10_000_000;
 const UNIX_EPOCH_SECONDS: i64 = 62_135_596_800;
 const UNIX_EPOCH_TICKS: i64 = UNIX_EPOCH_SECONDS * TICKS_PER_SECOND;
 
-/// A moment, in 100 ns ticks since 0001-01-01 UTC. All arithmetic saturates, because stamps come
-/// from outside and may be anything.
+/// A point in time, in 100 ns ticks since 0001-01-01 UTC. All arithmetic saturates, because time stamps come
+/// from untrusted input.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Time(i64);
 
@@ -18,19 +18,19 @@ pub struct Time(i64);
 pub struct Duration(i64);
 
 impl Time {
-    /// Earlier than every other moment.
+    /// Earlier than every other time.
     pub const MIN: Self = Self(i64::MIN);
-    /// Later than every other moment.
+    /// Later than every other time.
     pub const MAX: Self = Self(i64::MAX);
     /// 1970-01-01T00:00:00 UTC.
     pub const UNIX_EPOCH: Self = Self(UNIX_EPOCH_TICKS);
 
-    /// From ticks as they stand in files.
+    /// From ticks as stored in files.
     pub const fn from_ticks(ticks: i64) -> Self {
         Self(ticks)
     }
 
-    /// Ticks as they stand in files.
+    /// Ticks as stored in files.
     pub const fn ticks(self) -> i64 {
         self.0
     }
@@ -108,14 +108,14 @@ impl Time {
         format!("{sign}{}.{:07}", ticks / per_second, ticks % per_second)
     }
 
-    /// Seconds from `earlier` to this moment.
+    /// Seconds from `earlier` to this time.
     pub fn seconds_since(self, earlier: Self) -> f64 {
         (self - earlier).seconds()
     }
 }
 
 impl Duration {
-    /// No time at all.
+    /// Zero.
     pub const ZERO: Self = Self(0);
 
     /// From ticks of 100 ns.

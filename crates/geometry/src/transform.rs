@@ -1,5 +1,5 @@
-//! Rigid transforms in three dimensions. The product is nalgebra's; long chains are renormalised by
-//! those who build them.
+//! Rigid transforms in three dimensions. The product is nalgebra's; callers that build long chains
+//! renormalise them.
 
 use nalgebra as na;
 
@@ -75,9 +75,8 @@ pub fn rotation_angle(pose: &Rigid3) -> f64 {
     2.0 * q.vector().norm().atan2(q.w.abs())
 }
 
-/// A pose from translation and quaternion `(x, y, z, w)` as they stand in files. The quaternion is
-/// normalised when its norm is within 1e-3 of one; otherwise, or if anything is not finite, there is
-/// no pose.
+/// A pose from translation and quaternion `(x, y, z, w)` as stored in files. The quaternion is normalised if
+/// its norm is within 1e-3 of one. Otherwise, or if a number is not finite, the result is `None`.
 pub fn pose_from_xyz_quaternion(translation: [f64; 3], quaternion_xyzw: [f64; 4]) -> Option<Rigid3> {
     let [x, y, z, w] = quaternion_xyzw;
     let q = na::Quaternion::new(w, x, y, z);

@@ -1,4 +1,4 @@
-//! Files that must be files, and small ones that are read at once.
+//! Opens files that must not be pipes, and reads small files whole.
 
 use std::borrow::Cow;
 use std::fs::{self, File};
@@ -7,10 +7,10 @@ use std::path::Path;
 
 use crate::Forward;
 
-/// What comes through a pipe and is kept in memory is not more than this, bytes.
+/// Maximum size of an input from a pipe that is read into memory, bytes.
 const MOST_OF_A_PIPE: u64 = 256 << 20;
 
-/// The name under which the system has an input: `-` is the standard input.
+/// Path under which the system knows an input: `-` is the standard input.
 pub fn named(path: &Path) -> Cow<'_, Path> {
     match path.to_str() {
         Some("-") if cfg!(unix) => Cow::Borrowed(Path::new("/dev/stdin")),
@@ -21,8 +21,8 @@ pub fn named(path: &Path) -> Cow<'_, Path> {
 /// Opens a file that is read more than once, or not from start to end.
 ///
 /// # Errors
-/// What the system says; and [`io::ErrorKind::Unsupported`] for pipes and devices, with what to do instead. A pipe is
-/// not opened, which might wait for ever.
+/// Errors of the system; [`io::ErrorKind::Unsupported`] for pipes and devices, with advice in the message. A pipe is
+/// not opened, because that might block forever.
 pub fn regular_file(path: &Path) -> io::Result<File> {
     let path = named(path);
     let metadata = fs::metadata(&path)?;
@@ -36,10 +36,10 @@ pub fn regular_file(path: &Path) -> io::Result<File> {
     ))
 }
 
-/// Reads a whole file of at most `limit` bytes; of what comes through a pipe at most 256 MiB.
+/// Reads a whole file of at most `limit` bytes; from a pipe at most 256 MiB.
 ///
 /// # Errors
-/// What the system says, and [`io::ErrorKind::FileTooLarge`] beyond the limit.
+/// Errors of the system, and [`io::ErrorKind::FileTooLarge`] beyond the limit.
 pub fn read_all(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let mut input = Forward::open(path)?;
     let limit = if input.length().is_some() { limit } else { limit.min(MOST_OF_A_PIPE) };

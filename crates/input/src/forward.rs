@@ -1,19 +1,19 @@
-//! An input that is read once, from start to end.
+//! Input that is read once, from start to end.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 
-/// Bytes that are read at once.
+/// Size of the read buffer, bytes.
 const BUFFER: usize = 256 << 10;
 
-/// A file or a pipe that is read forward. What was looked at ([`Forward::peek`]) is read again.
+/// File or pipe that is read forward. Bytes returned by [`Forward::peek`] are read again.
 pub struct Forward {
-    /// What was looked at, and how much of it has been read.
+    /// Peeked bytes, of which the first `taken` have been read.
     start: Vec<u8>,
     taken: usize,
     rest: BufReader<Box<dyn Read + Send>>,
-    /// Bytes in all, where they are known.
+    /// Total size, bytes; none if unknown.
     length: Option<u64>,
     position: u64,
 }
@@ -22,7 +22,7 @@ impl Forward {
     /// Opens a file, a pipe, a device, or the standard input (`-`).
     ///
     /// # Errors
-    /// What the system says.
+    /// Errors of the system; [`io::ErrorKind::IsADirectory`] for a folder.
     pub fn open(path: &Path) -> io::Result<Self> {
         if path == Path::new("-") {
             return Ok(Self::of(Box::new(io::stdin()), None));
@@ -32,18 +32,18 @@ impl Forward {
         if metadata.is_dir() {
             return Err(io::Error::new(io::ErrorKind::IsADirectory, "this is a folder, not a file"));
         }
-        // Pipes and devices have no length that could be trusted.
+        // The length that the system reports for pipes and devices is meaningless.
         let length = metadata.is_file().then_some(metadata.len());
         Ok(Self::of(Box::new(file), length))
     }
 
-    /// Any source; `length` is how many bytes it has, if that is known.
+    /// From any source; `length` is its size in bytes, if known.
     pub fn of(source: Box<dyn Read + Send>, length: Option<u64>) -> Self {
         let rest = BufReader::with_capacity(BUFFER, source);
         Self { start: Vec::new(), taken: 0, rest, length, position: 0 }
     }
 
-    /// Bytes in all; none of what comes through a pipe.
+    /// Total size, bytes; none for pipes and devices.
     pub fn length(&self) -> Option<u64> {
         self.length
     }
@@ -53,10 +53,10 @@ impl Forward {
         self.position
     }
 
-    /// The next bytes, `count` of them or what there is up to the end. They are read again afterwards.
+    /// The next `count` bytes, or fewer at the end of the input. They are read again afterwards.
     ///
     /// # Errors
-    /// What the input says.
+    /// Errors of the input.
     pub fn peek(&mut self, count: usize) -> io::Result<&[u8]> {
         self.start.drain(..self.taken);
         self.taken = 0;
@@ -65,10 +65,10 @@ impl Forward {
         Ok(self.start.get(..count).unwrap_or(&self.start))
     }
 
-    /// Passes over so many bytes; how many there were.
+    /// Skips `count` bytes; returns the number of bytes skipped, which is smaller at the end of the input.
     ///
     /// # Errors
-    /// What the input says.
+    /// Errors of the input.
     pub fn skip(&mut self, count: u64) -> io::Result<u64> {
         io::copy(&mut self.take(count), &mut io::sink())
     }
@@ -112,7 +112,7 @@ impl BufRead for Forward {
 mod tests {
     use super::*;
 
-    /// Gives one byte at a time, as pipes may.
+    /// Returns one byte per read, as a pipe may.
     struct Slow(&'static [u8]);
 
     impl Read for Slow {

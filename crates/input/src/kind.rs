@@ -1,6 +1,6 @@
-//! What a file is that was given for another one.
+//! Recognises the type of a file that was given in place of another, for error messages.
 
-/// The beginnings of files, what they are, and what can be done with them.
+/// Magic bytes of binary formats, with a description and advice.
 const KINDS: [(&[u8], &str); 18] = [
     (b"\xdb\x01\xf5\x5b\x7b\x1f\x1d\x7b", "a map (pbstream)"),
     (
@@ -25,12 +25,13 @@ const KINDS: [(&[u8], &str); 18] = [
     (b"BZh", "compressed (bzip2): unpack it first (`bunzip2`)"),
 ];
 
-/// What a file is that begins like this, for messages: "this is …". None for text and whatever is not known.
+/// Description of the file type that begins with these bytes, for messages: "this is …". None for text and unknown
+/// formats.
 pub fn kind_of(start: &[u8]) -> Option<&'static str> {
     KINDS.iter().find(|(magic, _)| start.starts_with(magic)).map(|(_, kind)| *kind)
 }
 
-/// The beginnings of text files that mean one thing only, and what they are.
+/// Unambiguous beginnings of text formats, and of further binary formats, with a description.
 const TEXTS: [(&[u8], &str); 12] = [
     (b"<", "XML: a robot description (URDF) goes with --urdf"),
     (b"{", "JSON"),
@@ -46,17 +47,17 @@ const TEXTS: [(&[u8], &str); 12] = [
     (&[0; 8], "a file that begins with zeros: damaged, or copied in part"),
 ];
 
-/// As [`kind_of`], of text, too, where none of these kinds is wanted.
+/// As [`kind_of`], and also recognises text formats and empty files. For callers that can use none of these formats.
 pub fn unwanted_kind_of(start: &[u8]) -> Option<&'static str> {
     let text = start.trim_ascii_start();
     let of_text = || TEXTS.iter().find(|(begin, _)| text.starts_with(begin)).map(|(_, kind)| *kind);
     kind_of(start).or_else(of_text).or(start.is_empty().then_some("an empty file"))
 }
 
-/// Characters of text that are quoted.
+/// Maximum number of characters that are quoted.
 const QUOTED: usize = 40;
 
-/// A piece of a file in a message: its first characters in quotation marks, without those that control a terminal.
+/// Excerpt of a file for a message: its first characters in quotation marks, terminal control characters escaped.
 pub fn quoted(text: &str) -> String {
     let rest = if text.chars().nth(QUOTED).is_some() { " …" } else { "" };
     let shown: String = text.chars().take(QUOTED).flat_map(char::escape_debug).collect();

@@ -1,25 +1,25 @@
-//! Lines without believing in the length of any.
+//! Reads lines of bounded length, so that a file without line ends does not fill the memory.
 
 use std::io::{self, BufRead, Read};
 
-/// What was read.
+/// Result of reading a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Line {
-    /// Nothing: the input has ended.
+    /// End of the input; nothing was read.
     End,
-    /// A line, or what stands behind the last line end.
+    /// A complete line, or the text after the last line end.
     Whole,
     /// The start of a line longer than the limit; its rest has not been read.
     TooLong,
 }
 
-/// Reads the next line into `line`, without its line end (LF, or CR LF); at most `limit` bytes of it.
+/// Reads at most `limit` bytes of the next line into `line`, without its line end (LF, or CR LF).
 ///
 /// # Errors
-/// What the input says.
+/// Errors of the input.
 pub fn read_line<R: BufRead + ?Sized>(reader: &mut R, limit: usize, line: &mut Vec<u8>) -> io::Result<Line> {
     line.clear();
-    // One byte more tells a line of just so many bytes from a longer one.
+    // One more byte distinguishes a line of exactly `limit` bytes from a longer one.
     let most = (limit as u64).saturating_add(1);
     if reader.take(most).read_until(b'\n', line)? == 0 {
         return Ok(Line::End);
@@ -36,10 +36,10 @@ pub fn read_line<R: BufRead + ?Sized>(reader: &mut R, limit: usize, line: &mut V
     Ok(Line::Whole)
 }
 
-/// Passes over everything up to and with the next line end.
+/// Skips everything up to and including the next line end.
 ///
 /// # Errors
-/// What the input says.
+/// Errors of the input.
 pub fn skip_line<R: BufRead + ?Sized>(reader: &mut R) -> io::Result<()> {
     loop {
         let buffer = match reader.fill_buf() {

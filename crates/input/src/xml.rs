@@ -1,21 +1,21 @@
-//! What XML may look like before a parser sees it.
+//! Checks limits of an XML document before it is given to a parser.
 //!
-//! Parsers compare each attribute of an element with all others, resolve the name spaces in view of each element, and
-//! descend into elements by recursion: an element with 100,000 attributes takes minutes, a document nested 100,000
-//! deep the stack.
+//! Parsers compare each attribute of an element with all others, resolve the name spaces in scope of each element, and
+//! descend into elements by recursion: an element with 100,000 attributes takes minutes, and a document nested 100,000
+//! deep overflows the stack.
 
 use std::fmt;
 
-/// Bounds on a document.
+/// Limits of a document.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct XmlLimits {
-    /// Bytes in all.
+    /// Maximum size, bytes.
     pub bytes: usize,
-    /// Attributes of one element.
+    /// Maximum number of attributes of one element.
     pub attributes: usize,
-    /// Elements within each other.
+    /// Maximum nesting depth of elements.
     pub depth: usize,
-    /// Declarations of name spaces in all.
+    /// Maximum number of name space declarations in the document.
     pub name_spaces: usize,
 }
 
@@ -25,7 +25,7 @@ impl Default for XmlLimits {
     }
 }
 
-/// Why a document is not given to a parser.
+/// Reason why a document is not given to a parser.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum XmlProblem {
     /// More bytes than this.
@@ -36,7 +36,7 @@ pub enum XmlProblem {
     Depth(usize),
     /// More name spaces than this.
     NameSpaces(usize),
-    /// A declaration of the document's type, which may define entities that grow.
+    /// A document type declaration (DOCTYPE), which may define entities that expand without bound.
     DocumentType,
 }
 
@@ -54,11 +54,11 @@ impl fmt::Display for XmlProblem {
 
 impl std::error::Error for XmlProblem {}
 
-/// Looks through a document in one pass, in time linear in its size. Whether it is well formed is for the parser to
-/// say.
+/// Checks a document in one pass, in time linear in its size. It does not check whether the document is well formed;
+/// the parser does.
 ///
 /// # Errors
-/// The first limit that it exceeds.
+/// The first limit that the document exceeds.
 pub fn check_xml(document: &[u8], limits: XmlLimits) -> Result<(), XmlProblem> {
     if document.len() > limits.bytes {
         return Err(XmlProblem::Bytes(limits.bytes));
@@ -95,16 +95,16 @@ pub fn check_xml(document: &[u8], limits: XmlLimits) -> Result<(), XmlProblem> {
     Ok(())
 }
 
-/// What follows the next `closing`; nothing if there is none.
+/// Text after the next `closing`; empty if there is none.
 fn behind<'a>(text: &'a [u8], closing: &[u8]) -> &'a [u8] {
     let at = text.windows(closing.len()).position(|window| window == closing);
     at.and_then(|at| text.get(at + closing.len()..)).unwrap_or_default()
 }
 
-/// The start of an element.
+/// Start tag of an element.
 #[derive(Default)]
 struct Tag {
-    /// Bytes up to and with the `>`.
+    /// Bytes up to and including the `>`.
     length: usize,
     attributes: usize,
     name_spaces: usize,

@@ -1,10 +1,11 @@
-//! Every kind of issue: its severity and its text. `{name}` in a text is replaced by the issue's datum of that name.
+//! Table of all kinds of issues with severity and text. `{name}` in a text is replaced by the issue's datum of that
+//! name.
 
 use crate::Severity;
 
 macro_rules! kinds {
     ($($(#[$attribute:meta])* $kind:ident $severity:ident $text:literal)*) => {
-        /// What was wrong with the data, and what was done about it.
+        /// Kind of an issue: what was wrong with the data, and how it was handled.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
         pub enum IssueKind {
             $($(#[$attribute])* #[doc = $text] $kind,)*
@@ -14,21 +15,21 @@ macro_rules! kinds {
             /// All kinds.
             pub const ALL: &[Self] = &[$(Self::$kind,)*];
 
-            /// How bad it usually is.
+            /// Default severity.
             pub const fn severity(self) -> Severity {
                 match self {
                     $(Self::$kind => Severity::$severity,)*
                 }
             }
 
-            /// Its text, with places for data.
+            /// Text with placeholders for data.
             pub const fn text(self) -> &'static str {
                 match self {
                     $(Self::$kind => $text,)*
                 }
             }
 
-            /// Its name in the code.
+            /// Name of the variant in the code.
             const fn identifier(self) -> &'static str {
                 match self {
                     $(Self::$kind => stringify!($kind),)*
@@ -81,7 +82,7 @@ kinds! {
     UnreadableDatabaseMessage Error "a message on {topic} could not be read from the database"
     DatabaseOutOfOrder Info "a message of a damaged database came out of order"
     FurtherKinds Warning "further kinds of damage"
-    /// A format of a library's user.
+    /// Issue of a recording format that a user of the library implements.
     Other Info "{what}"
 
     // Text logs and folders.
@@ -110,39 +111,39 @@ kinds! {
     WrongPacketLength Error "packets of a wrong length were left out"
     RareSender Error "packets of senders that sent hardly any, their address damaged or begun late, were left out"
     UnknownPacketSensor Error "packets of {bytes} bytes are of no known sensor and were left out"
-    /// Network cards and recorders hand some packets on twice.
+    /// Network cards and recorders deliver some packets twice.
     RepeatedPacket Info "exact repetitions of the packet before were left out"
-    /// Something else sends to the port of a Velodyne.
+    /// Another sender uses the UDP port of a Velodyne.
     NotVelodyne Error "packets that are no data packets of a Velodyne were left out"
-    /// The product byte of a packet is none that is known.
+    /// The product byte of a packet is unknown.
     UnknownVelodyne Warning "packets of an unknown Velodyne product were read as those of a VLP-16"
-    /// Each HDL-64E has beams of its own, of which its packets say nothing.
+    /// The beam angles of each HDL-64E are calibrated individually, and its packets do not contain them.
     NoVelodyneCalibration Warning "an HDL-64E without its calibration was read with nominal angles; put the calibration of velodyne_pointcloud (.yaml) beside the capture under the same name"
-    /// A block of a Velodyne's packet begins with neither of its marks, or points nowhere.
+    /// A block of a Velodyne packet begins with neither of the two block marks, or its azimuth is invalid.
     DamagedVelodyneBlock Error "blocks of packets with a wrong mark or azimuth were left out"
-    /// A packet of an Ouster's lidar is not as long as its layout says.
+    /// The length of an Ouster lidar packet differs from that of its layout.
     WrongOusterLength Error "Ouster packets of an unexpected length were left out"
-    /// The sensor measured nothing there, or says that it was disturbed.
+    /// The sensor measured nothing in this column, or marked it as disturbed.
     InvalidOusterColumn Info "columns of Ouster packets that the sensor marked as invalid were left out"
-    /// A packet of an Ouster's IMU is not as long as it should be.
+    /// The length of an Ouster IMU packet is wrong.
     WrongOusterImuLength Error "Ouster IMU packets of an unexpected length were left out"
     /// The sensor measured nothing at that time.
     InvalidOusterSample Info "samples of an Ouster's IMU that the sensor marked as invalid were left out"
-    /// They do not lie beside the capture under its name.
+    /// The metadata were not found beside the capture under its name, but in another file.
     OusterMetadataFound Info "the metadata of an Ouster were read from {file}: {reason}"
-    /// Metadata under the capture's name are taken to be put there on purpose.
+    /// Metadata under the capture's name are used although the serial number differs: they are assumed to be intended.
     OtherOusterMetadata Warning "the metadata of an Ouster in {file} are of the serial number {metadata}, its packets of {packets}; for want of others they were used all the same"
     /// The metadata are of another sensor or another setting.
     WrongOusterMetadata Warning "the metadata of an Ouster do not fit its packets and were not used"
-    /// Angles of beams are calibrated, and stand in the metadata alone.
+    /// The beam angles are calibrated individually, and only the metadata contain them.
     NoOusterMetadata Warning "an Ouster without its metadata was read with nominal angles of beams, so that points are off by centimetres near by and by metres far away; put its metadata (.json) beside the capture, best under the same name"
-    /// The sensor counts from when it was switched on, or its clock is wrong.
+    /// The sensor counts time from power-on, or its clock is wrong.
     SensorClockNotSet Info "the clock of a sensor was not set; its times were shifted to those of the recording"
     /// The clock of a sensor was set while it measured.
     SensorClockJumped Info "the clock of a sensor jumped by more than a second against the times of arrival; the jump was removed"
-    /// A piece of a datagram that would be too long, put together.
+    /// A fragment of a datagram that would be too long when reassembled.
     LongDatagram Error "pieces of datagrams beyond their greatest length were left out"
-    /// Pieces were lost on the way, or the capture begins or ends between them.
+    /// Fragments were lost in the network, or the capture begins or ends between them.
     IncompleteDatagram Error "datagrams of which pieces are missing were left out"
 
     // Transforms and clocks.
@@ -193,7 +194,7 @@ kinds! {
     InvalidLandmark Error "landmarks with an invalid pose or weight were left out"
     SensorSilent Warning "falls silent {seconds} s before the end; the rest is mapped without it"
 
-    // Mapping. What an ordinary recording has at its start and between overlapping sweeps is no loss.
+    // Mapping. Issues that every recording has at its start and between overlapping sweeps do not count as loss.
     BeforeAllSensors Info "measurement before all sensors had started"
     OutOfOrderInSensor Error "measurement out of order in its sensor"
     MeasurementLate Error "measurement that came too late"
@@ -281,7 +282,7 @@ kinds! {
 }
 
 impl IssueKind {
-    /// Its name in reports: words in small letters, joined by `_`.
+    /// Name in reports, in snake case.
     pub fn name(self) -> String {
         let mut name = String::new();
         for letter in self.identifier().chars() {

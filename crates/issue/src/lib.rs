@@ -12,11 +12,11 @@ use serde::ser::{Serialize, SerializeMap, SerializeStruct, Serializer};
 pub use kind::IssueKind;
 pub use log::IssueLog;
 
-/// How bad an issue or a finding is.
+/// Severity of an issue or a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Severity {
-    /// Good to know; nothing is missing.
+    /// For information; no data are missing.
     Info,
     /// The result may be worse than it could be.
     Warning,
@@ -25,7 +25,7 @@ pub enum Severity {
 }
 
 impl Severity {
-    /// As it stands in reports.
+    /// Name in reports.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Info => "info",
@@ -40,7 +40,7 @@ impl Severity {
 pub enum Datum {
     /// A name, a path, a reason.
     Text(String),
-    /// A number, written with as many digits as are worth reading.
+    /// A number, formatted with its significant digits.
     Number(String),
 }
 
@@ -69,17 +69,17 @@ impl Serialize for Datum {
 /// there is one.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Issue {
-    /// What it is.
+    /// Kind of the issue.
     pub kind: IssueKind,
-    /// How bad it is; usually that of the kind.
+    /// Severity; by default that of the kind.
     pub severity: Severity,
     /// Topic, name of the sensor, or file.
     pub sensor: Option<Arc<str>>,
-    /// What the text names.
+    /// Names and values of the placeholders of the text.
     pub data: Vec<(&'static str, Datum)>,
-    /// How often it occurred.
+    /// Number of occurrences.
     pub count: u64,
-    /// Times of the first and the last occurrence, where they are known.
+    /// Times of the first and the last occurrence; none if unknown.
     pub span: Option<(Time, Time)>,
 }
 
@@ -89,56 +89,56 @@ impl Issue {
         Self { kind, severity: kind.severity(), sensor: None, data: Vec::new(), count: 1, span: None }
     }
 
-    /// Names the topic or sensor.
+    /// Sets the topic or sensor.
     #[must_use]
     pub fn of(self, sensor: impl Into<Arc<str>>) -> Self {
         Self { sensor: Some(sensor.into()), ..self }
     }
 
-    /// With another severity than is usual.
+    /// Sets a severity other than that of the kind.
     #[must_use]
     pub fn with_severity(self, severity: Severity) -> Self {
         Self { severity, ..self }
     }
 
-    /// With a text of the issue.
+    /// Adds a text datum.
     #[must_use]
     pub fn with(mut self, name: &'static str, text: impl fmt::Display) -> Self {
         self.data.push((name, Datum::Text(text.to_string())));
         self
     }
 
-    /// With a number of the issue, as it is to be printed.
+    /// Adds a number datum, formatted as it is to be printed.
     #[must_use]
     pub fn with_number(mut self, name: &'static str, number: impl fmt::Display) -> Self {
         self.data.push((name, Datum::Number(number.to_string())));
         self
     }
 
-    /// So many occurrences.
+    /// Sets the number of occurrences.
     #[must_use]
     pub fn times(self, count: u64) -> Self {
         Self { count, ..self }
     }
 
-    /// Occurred at a time.
+    /// Sets the time of the occurrence.
     #[must_use]
     pub fn at(self, time: Time) -> Self {
         Self { span: Some((time, time)), ..self }
     }
 
-    /// Lasted from one time to another.
+    /// Sets the times of the first and the last occurrence.
     #[must_use]
     pub fn between(self, from: Time, to: Time) -> Self {
         Self { span: Some((from, to)), ..self }
     }
 
-    /// Whether data were lost by it.
+    /// Whether data were lost: the severity is [`Severity::Error`].
     pub fn lost_data(&self) -> bool {
         self.severity == Severity::Error
     }
 
-    /// The sentence without the sensor.
+    /// The sentence of the issue without the sensor; placeholders are replaced by the data.
     pub fn text(&self) -> String {
         let mut text = self.kind.text().to_owned();
         for (name, datum) in &self.data {
@@ -176,7 +176,7 @@ impl Serialize for Data<'_> {
     }
 }
 
-/// `kind`, `severity`, `sensor`, `from_s` and `to_s` (Unix seconds, or null), `count`, `data`, `text`.
+/// Fields: `kind`, `severity`, `sensor`, `from_s` and `to_s` (Unix seconds, or null), `count`, `data`, `text`.
 impl Serialize for Issue {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut fields = serializer.serialize_struct("Issue", 8)?;

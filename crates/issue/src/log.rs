@@ -1,4 +1,4 @@
-//! Counting issues.
+//! Log of issues: equal issues are counted in one entry.
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -9,19 +9,20 @@ use serde::{Serialize, Serializer};
 
 use crate::{Datum, Issue, IssueKind, Severity};
 
-/// So many entries are distinguished; a hostile file cannot make the report grow beyond.
+/// Maximum number of distinct entries. It bounds the size of a report, whatever a hostile file contains; further kinds
+/// are counted as [`IssueKind::FurtherKinds`].
 const MAX_ENTRIES: usize = 256;
 
-/// What makes issues alike.
+/// Key of an entry: issues with the same key are counted together.
 type Key = (IssueKind, Option<Arc<str>>, Vec<(&'static str, Datum)>, Severity);
 
-/// Issues that occurred: one entry for alike ones, with their count and the span of their times.
+/// Issues that occurred: one entry per kind, sensor, data and severity, with the count and the first and last time.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct IssueLog {
     entries: BTreeMap<Key, (u64, Option<(Time, Time)>)>,
 }
 
-/// Both spans together.
+/// Smallest span that contains both spans.
 fn union(a: Option<(Time, Time)>, b: Option<(Time, Time)>) -> Option<(Time, Time)> {
     match (a, b) {
         (Some(a), Some(b)) => Some((a.0.min(b.0), a.1.max(b.1))),
@@ -30,7 +31,7 @@ fn union(a: Option<(Time, Time)>, b: Option<(Time, Time)>) -> Option<(Time, Time
 }
 
 impl IssueLog {
-    /// Adds an issue, or a kind of which nothing more is known. One that occurred no time is none.
+    /// Adds an issue, or only its kind if nothing more is known. An issue with a count of 0 is ignored.
     pub fn add(&mut self, issue: impl Into<Issue>) {
         let Issue { kind, severity, sensor, data, count, span } = issue.into();
         if count == 0 {
@@ -52,22 +53,22 @@ impl IssueLog {
         }
     }
 
-    /// Counts a kind of which nothing more is known.
+    /// Adds `times` occurrences of a kind without sensor, data or time.
     pub fn count(&mut self, kind: IssueKind, times: u64) {
         self.add(Issue::new(kind).times(times));
     }
 
-    /// Adds what others counted.
+    /// Adds issues that were counted elsewhere.
     pub fn merge<'a>(&mut self, others: impl IntoIterator<Item = &'a Issue>) {
         others.into_iter().for_each(|issue| self.add(issue.clone()));
     }
 
-    /// Adds what another log counted.
+    /// Adds all issues of another log.
     pub fn append(&mut self, other: &Self) {
         other.iter().for_each(|issue| self.add(issue));
     }
 
-    /// All issues, by kind, sensor and data.
+    /// All issues, ordered by kind, sensor and data.
     pub fn iter(&self) -> impl Iterator<Item = Issue> + '_ {
         self.entries.iter().map(|((kind, sensor, data, severity), (count, span))| Issue {
             kind: *kind,
@@ -84,13 +85,13 @@ impl IssueLog {
         self.iter().collect()
     }
 
-    /// How often a kind occurred, whatever the sensor and the data.
+    /// Number of occurrences of a kind, summed over sensors and data.
     pub fn count_of(&self, kind: IssueKind) -> u64 {
         let of_kind = self.entries.iter().filter(|((k, ..), _)| *k == kind);
         of_kind.fold(0, |sum, (_, (count, _))| sum.saturating_add(*count))
     }
 
-    /// Kinds and how often each occurred, whatever the sensor and the data.
+    /// Number of occurrences of each kind, summed over sensors and data.
     pub fn counts(&self) -> BTreeMap<IssueKind, u64> {
         let mut counts = BTreeMap::new();
         for ((kind, ..), (count, _)) in &self.entries {
@@ -100,12 +101,12 @@ impl IssueLog {
         counts
     }
 
-    /// Whether nothing occurred.
+    /// Whether the log has no issues.
     pub fn is_empty(&self) -> bool {
         self.entries.is_empty()
     }
 
-    /// Whether data were lost.
+    /// Whether data were lost: an issue has severity [`Severity::Error`].
     pub fn lost_data(&self) -> bool {
         self.entries.keys().any(|(.., severity)| *severity == Severity::Error)
     }

@@ -1,4 +1,4 @@
-//! Little-endian values out of a packet; 0 beyond its end, which callers have checked.
+//! Reads little-endian values from a packet; 0 beyond its end, which callers check before.
 
 pub(crate) fn u16_at(bytes: &[u8], at: usize) -> u16 {
     bytes.get(at..at + 2).and_then(|b| b.try_into().ok()).map_or(0, u16::from_le_bytes)

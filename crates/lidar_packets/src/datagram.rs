@@ -1,42 +1,43 @@
-//! From captured frames to UDP datagrams: Ethernet, VLAN, IPv4 with fragments, IPv6.
+//! Extracts UDP datagrams from captured frames: Ethernet, VLAN, IPv4 with fragments, IPv6.
 
 use portolan_issue::{IssueKind, IssueLog};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-/// Who sent a datagram, and to which port.
+/// Sender and destination port of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Endpoint {
     /// Address of the sender; IPv4 addresses fill the last four bytes.
     pub source: [u8; 16],
-    /// Port it was sent to.
+    /// Destination port.
     pub port: u16,
 }
 
-/// Datagrams in pieces that wait for the rest, at most.
+/// Maximum number of incomplete datagrams that wait for further fragments.
 const MAX_WAITING: usize = 64;
-/// No datagram is longer.
+/// Maximum size of a datagram, bytes.
 const MAX_DATAGRAM: usize = 65_535;
 const UDP: u8 = 17;
 
-/// Puts datagrams together.
+/// Reassembles datagrams.
 #[derive(Default)]
 pub struct Datagrams {
     waiting: BTreeMap<([u8; 8], u16), Pieces>,
-    /// Counts up, to know the oldest.
+    /// Counts up, to find the oldest incomplete datagram.
     age: u64,
 }
 
 struct Pieces {
     age: u64,
     bytes: Vec<u8>,
-    /// Bytes that are there, and how many there will be once the last piece has come.
+    /// Bytes received so far, and the total number, known once the last fragment has arrived.
     have: usize,
     total: Option<usize>,
 }
 
 impl Datagrams {
-    /// The datagram that a frame of an interface holds or completes; `link_type` as captures number them (LINKTYPE).
+    /// The datagram that a frame of an interface contains or completes; `link_type` is the LINKTYPE of the
+    /// capture.
     pub fn take<'a>(
         &mut self,
         link_type: u32,
@@ -47,7 +48,7 @@ impl Datagrams {
         match packet.first()? >> 4 {
             4 => self.take_ipv4(packet, issues),
             6 => {
-                // Without extension headers.
+                // Packets with extension headers are not supported.
                 let source = packet.get(8..24)?.try_into().ok()?;
                 let payload = packet.get(40..)?;
                 (*packet.get(6)? == UDP).then(|| udp(source, Cow::Borrowed(payload))).flatten()
@@ -63,7 +64,7 @@ impl Datagrams {
     ) -> Option<(Endpoint, Cow<'a, [u8]>)> {
         let header = usize::from(packet.first()? & 0xf) * 4;
         let total = usize::from(u16_at(packet, 2)?);
-        // Cards that cut packets themselves leave a length of 0.
+        // The length is 0 if the network card does the segmentation.
         let end = if total >= header && header >= 20 { total.min(packet.len()) } else { packet.len() };
         let payload = packet.get(header..end)?;
         if *packet.get(9)? != UDP {
@@ -121,7 +122,7 @@ impl Datagrams {
         None
     }
 
-    /// Counts what never became complete.
+    /// Counts the datagrams that were never completed.
     pub fn finish(&mut self, issues: &mut IssueLog) {
         let missing = self.waiting.len() as u64;
         if missing > 0 {
@@ -172,7 +173,7 @@ fn u16_at(bytes: &[u8], at: usize) -> Option<u16> {
 mod tests {
     use super::*;
 
-    /// An IPv4 packet without a link layer that holds a piece of a datagram from 10.0.0.1 to port 2368.
+    /// An IPv4 packet without a link layer, with a fragment of a datagram from 10.0.0.1 to port 2368.
     fn piece(bytes: &[u8], offset: u16, more: bool) -> Vec<u8> {
         let length = (20 + bytes.len()) as u16;
         let flags = (offset / 8) | if more { 0x2000 } else { 0 };

@@ -1,4 +1,4 @@
-//! From the packets of one sensor to what it measured.
+//! Decodes the packets of one sensor to its measurements.
 
 use portolan_geometry::Time;
 
@@ -11,7 +11,7 @@ use portolan_issue::{IssueKind, IssueLog};
 /// One sample of an IMU, in its own frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImuSample {
-    /// When it was measured.
+    /// Time of measurement.
     pub time: Time,
     /// Radians per second.
     pub angular_velocity: [f64; 3],
@@ -19,7 +19,7 @@ pub struct ImuSample {
     pub linear_acceleration: [f64; 3],
 }
 
-/// What packets hold.
+/// A measurement decoded from packets.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Measured {
     /// A sweep of a lidar.
@@ -28,10 +28,10 @@ pub enum Measured {
     Imu(ImuSample),
 }
 
-/// Turns the packets of one sensor into what it measured.
+/// Decodes the packets of one sensor to its measurements.
 pub struct PacketDecoder {
     decoder: Decoder,
-    /// The packet before.
+    /// The previous packet.
     last: Vec<u8>,
 }
 
@@ -55,7 +55,8 @@ impl PacketDecoder {
         Self { decoder, last: Vec::new() }
     }
 
-    /// Adds a packet that arrived at a time, of a sensor with a clock; what is complete goes to `give`.
+    /// Adds a packet with its time of arrival and the clock of its sensor; complete measurements go to
+    /// `give`.
     pub fn push(
         &mut self,
         packet: (&[u8], Time),
@@ -63,7 +64,7 @@ impl PacketDecoder {
         issues: &mut IssueLog,
         give: &mut dyn FnMut(Measured),
     ) {
-        // Sensors count and time their packets, so that no two are equal.
+        // Sensors number and time their packets, so two equal packets are a repetition.
         if self.last == packet.0 {
             issues.count(IssueKind::RepeatedPacket, 1);
             return;
@@ -83,7 +84,7 @@ impl PacketDecoder {
         }
     }
 
-    /// What is left at the end.
+    /// The last, incomplete measurement.
     pub fn finish(&mut self) -> Option<Measured> {
         match &mut self.decoder {
             Decoder::Velodyne(decoder) => decoder.finish().map(Measured::Sweep),

@@ -1,7 +1,8 @@
-//! Lidar packets of Ouster's sensors, in all of their layouts with one or two returns.
+//! Decodes lidar packets of Ouster sensors, in all of their layouts, with one or two returns.
 //!
-//! A lidar packet has columns, each measured at once, with a time (ns) and a number that stands for the
-//! azimuth; a change of the frame number begins a new sweep. Points are in the sensor's frame.
+//! A lidar packet has columns. All beams of a column are measured at one time, and the column has that time
+//! (ns) and a number that corresponds to the azimuth. A change of the frame number starts a new sweep. Points
+//! are in the sensor's frame.
 
 use std::f64::consts::TAU;
 
@@ -12,20 +13,20 @@ use crate::ouster_header::{FRAME_BYTES, is_other_ouster_data};
 use crate::{OusterMetadata, PacketHeader, PacketPoint, PacketProfile, SensorTime, Sweep, SweepBuilder};
 use portolan_issue::{IssueKind, IssueLog};
 
-/// How the bytes of a lidar packet lie.
+/// Layout of the bytes of a lidar packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PacketLayout {
     /// Layout of a channel.
     pub profile: PacketProfile,
-    /// Order of the header, which packets of the first layouts do not have.
+    /// Layout of the header; packets with the legacy layout have none.
     pub header: PacketHeader,
-    /// Beams.
+    /// Number of beams.
     pub channels: usize,
-    /// Columns of a packet.
+    /// Number of columns per packet.
     pub columns: usize,
 }
 
-/// Columns of a packet unless its metadata say otherwise.
+/// Columns per packet, unless the metadata give another number.
 pub(crate) const USUAL_COLUMNS: usize = 16;
 
 impl PacketLayout {
@@ -40,18 +41,18 @@ impl PacketLayout {
         head + self.channels * self.profile.channel_bytes() + foot
     }
 
-    /// The largest number of a column in a packet of some layout; 0 if it has none.
+    /// The largest column number in a packet of some layout; 0 if there is none.
     pub fn largest_column(packet: &[u8]) -> u16 {
         let Some(layout) = Self::guess(packet) else { return 0 };
         layout.valid_columns(packet).map(|column| u16_at(column, 8)).max().unwrap_or(0)
     }
 
-    /// When the first column of a packet was measured, by the sensor's clock.
+    /// Time of measurement of the first column of a packet, by the sensor's clock.
     pub fn sensor_time(&self, packet: &[u8]) -> Option<Time> {
         self.valid_columns(packet).next().map(|column| sensor_time(u64_at(column, 0)))
     }
 
-    /// The number of the frame of a column.
+    /// The frame number of a column.
     fn frame_number(&self, packet: &[u8], column: &[u8]) -> u32 {
         match self.profile {
             PacketProfile::Legacy => u32::from(u16_at(column, 10)),
@@ -65,17 +66,17 @@ impl PacketLayout {
         columns.filter(move |column| self.profile.is_valid(column))
     }
 
-    /// The serial number of the sensor that sent a packet; none where packets do not tell it.
+    /// The serial number of the sensor that sent a packet; none if packets do not contain it.
     pub fn serial(&self, packet: &[u8]) -> Option<u64> {
         (self.profile != PacketProfile::Legacy).then(|| self.header.serial(packet)).flatten()
     }
 
-    /// A number that changes with each start of the sensor; none where packets do not tell it.
+    /// A number that changes with each start of the sensor; none if packets do not contain it.
     pub fn initialization(&self, packet: &[u8]) -> Option<u32> {
         (self.profile != PacketProfile::Legacy).then(|| self.header.initialization(packet)).flatten()
     }
 
-    /// The layout of a packet by its length, without metadata.
+    /// Guesses the layout of a packet from its length, without metadata.
     pub fn guess(packet: &[u8]) -> Option<Self> {
         let header = PacketHeader::of(packet);
         let candidates = PacketProfile::USUAL.into_iter().flat_map(|profile| {
@@ -85,7 +86,7 @@ impl PacketLayout {
     }
 }
 
-/// Turns lidar packets of one sensor into sweeps.
+/// Assembles the lidar packets of one sensor to sweeps.
 pub(crate) struct OusterDecoder {
     metadata: OusterMetadata,
     layout: PacketLayout,
@@ -96,7 +97,7 @@ pub(crate) struct OusterDecoder {
 }
 
 impl OusterDecoder {
-    /// A sensor with what is known about it.
+    /// A decoder for a sensor with this metadata and packet layout.
     pub fn new(metadata: OusterMetadata, layout: PacketLayout) -> Self {
         let mut rings = vec![0; metadata.altitudes.len()];
         let mut order: Vec<(f64, &mut u16)> = metadata.altitudes.iter().copied().zip(&mut rings).collect();
@@ -118,7 +119,7 @@ impl OusterDecoder {
         }
     }
 
-    /// Adds a packet that arrived at a time; complete sweeps go to `sweeps`.
+    /// Adds a packet with its time of arrival; complete sweeps go to `sweeps`.
     pub fn push(
         &mut self,
         (packet, arrival): (&[u8], Time),
@@ -154,7 +155,7 @@ impl OusterDecoder {
         }
     }
 
-    /// The sweep that is not complete yet.
+    /// The last, incomplete sweep.
     pub fn finish(&mut self) -> Option<Sweep> {
         self.frame_number = None;
         self.builder.take()
@@ -162,12 +163,12 @@ impl OusterDecoder {
 
     fn add_column(&mut self, column: &[u8], time: Time) {
         let profile = self.layout.profile;
-        // Columns are numbered in the direction of the turn, clockwise.
+        // Columns are numbered in the direction of rotation, clockwise.
         let number = f64::from(u16_at(column, 8));
         let encoder = TAU * (1.0 - number / self.metadata.columns_per_frame as f64);
         let (encoder_sine, encoder_cosine) = encoder.sin_cos();
         let [ahead, above] = self.metadata.beam_origin;
-        // Ranges are counted from the origin of the lidar's frame, by way of that of the beams.
+        // Ranges include the distance from the origin of the lidar's frame to the origin of the beams.
         let offset = if above == 0.0 { ahead } else { ahead.hypot(above) };
         let start = profile.column_frame().0;
         for (channel, (sine, cosine, azimuth, ring)) in self.beams.iter().enumerate() {
@@ -192,7 +193,7 @@ impl OusterDecoder {
     }
 }
 
-/// A time of the sensor's clock, which counts nanoseconds.
+/// A time of the sensor's clock, from nanoseconds.
 pub(crate) fn sensor_time(nanoseconds: u64) -> Time {
     Time::UNIX_EPOCH + Duration::from_ticks(i64::try_from(nanoseconds / 100).unwrap_or(i64::MAX))
 }

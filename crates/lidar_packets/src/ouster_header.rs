@@ -1,39 +1,41 @@
-//! The header of Ouster's packets: what a packet holds, which sensor sent it, and of which frame it is.
+//! Parses the header of Ouster packets: the contents of a packet, the sensor that sent it, and its frame
+//! number.
 //!
-//! All packets but those of the first layouts (`LEGACY`) begin with a header of 32 bytes, in one of two orders.
+//! All packets except those with the legacy layout (`LEGACY`) begin with a header of 32 bytes, which has one
+//! of two layouts.
 
 use crate::bytes::{u16_at, u32_at, u64_at};
 use crate::{PacketLayout, is_ouster_imu};
 
-/// Bytes of the header of a packet, and of what follows its contents.
+/// Bytes of the header of a packet, and of its footer.
 pub(crate) const FRAME_BYTES: usize = 32;
-/// Bytes of a packet about zones: header, time, hash of the zones, 16 zones, end.
+/// Bytes of a packet with zones: header, time, hash of the zones, 16 zones, footer.
 const ZONE_PACKET_BYTES: usize = FRAME_BYTES + 8 + 32 + 16 * 36 + FRAME_BYTES;
-/// Serial numbers have twelve digits.
+/// Valid serial numbers; they have twelve digits.
 const SERIALS: std::ops::Range<u64> = 100_000_000_000..1_000_000_000_000;
 
-/// What a packet holds, as its header says.
+/// Contents of a packet, from its header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Contents {
     Lidar,
     Imu,
-    /// Zones that are watched, or what later firmware may send.
+    /// Monitored zones, or contents that later firmware may send.
     Other,
 }
 
-/// Order of the fields of a header.
+/// Layout of a header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PacketHeader {
-    /// `STANDARD`: the number of a frame has 16 bits.
+    /// `STANDARD`: frame numbers have 16 bits.
     Standard,
-    /// `FUSA`, for functional safety: the number of a frame has 32 bits.
+    /// `FUSA`, for functional safety: frame numbers have 32 bits.
     Fusa,
 }
 
 impl PacketHeader {
-    /// The order that a packet's bytes look like. `STANDARD` has a type of two bytes, of which the second is zero; `FUSA`
-    /// begins the sensor's initialization number there. That byte is zero in one of 256, which the serial number tells:
-    /// where `FUSA` has it, `STANDARD` has zeros.
+    /// Recognises the layout of a packet's header. In `STANDARD` the type has two bytes, of which the second
+    /// is zero. In `FUSA` the sensor's initialization number starts at this second byte; it is zero there in
+    /// one of 256 cases. These are decided by the serial number: where `FUSA` has it, `STANDARD` has zeros.
     pub fn of(packet: &[u8]) -> Self {
         let is_fusa = match (packet.first(), packet.get(1)) {
             (Some(1..=3), Some(0)) => SERIALS.contains(&Self::Fusa.serial_bits(packet)),
@@ -43,7 +45,7 @@ impl PacketHeader {
         if is_fusa { Self::Fusa } else { Self::Standard }
     }
 
-    /// As metadata name it.
+    /// From its name in metadata.
     pub(crate) fn named(name: &str) -> Option<Self> {
         match name {
             "STANDARD" => Some(Self::Standard),
@@ -71,12 +73,12 @@ impl PacketHeader {
         }
     }
 
-    /// The serial number of the sensor; none where the header has none.
+    /// The serial number of the sensor; none if the header has none.
     pub fn serial(self, packet: &[u8]) -> Option<u64> {
         Some(self.serial_bits(packet)).filter(|serial| *serial != 0)
     }
 
-    /// A number that changes with each start of the sensor; none where the header has none.
+    /// A number that changes with each start of the sensor; none if the header has none.
     pub fn initialization(self, packet: &[u8]) -> Option<u32> {
         let at = if self == Self::Standard { 4 } else { 1 };
         Some(u32_at(packet, at) & 0x00ff_ffff).filter(|number| *number != 0)
@@ -88,9 +90,9 @@ impl PacketHeader {
     }
 }
 
-/// Whether a packet is an Ouster's, but neither of its lidar nor of its IMU.
+/// Whether a packet was sent by an Ouster, but neither by its lidar nor by its IMU.
 pub fn is_other_ouster_data(packet: &[u8]) -> bool {
-    // Packets without a header may begin like any.
+    // Packets without a header may begin with any bytes.
     if PacketLayout::guess(packet).is_some() || is_ouster_imu(packet) {
         return false;
     }
@@ -117,7 +119,7 @@ mod tests {
         assert_eq!((header, header.contents(&standard)), (PacketHeader::Standard, Contents::Lidar));
         assert_eq!(header.initialization(&standard), Some(0x56_3412));
         assert_eq!((header.serial(&standard), header.frame_number(&standard)), (Some(122_247_000_785), 700));
-        // The second with an initialization number whose first byte is zero.
+        // The second initialization number has zero as its first byte.
         for initialization in [[0x12, 0x34, 0x56], [0, 0x34, 0x56]] {
             let mut fusa = vec![0; 64];
             fusa[0] = 2;

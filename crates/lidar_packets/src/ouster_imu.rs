@@ -1,5 +1,5 @@
-//! IMU packets of Ouster's sensors: one sample in units of gravity and degrees (`LEGACY`), or several in SI units
-//! (`ACCEL32_GYRO32_NMEA`).
+//! Decodes IMU packets of Ouster sensors: one sample in units of gravity and degrees (`LEGACY`), or several
+//! in SI units (`ACCEL32_GYRO32_NMEA`).
 
 use portolan_geometry::{STANDARD_GRAVITY, Time};
 
@@ -9,34 +9,34 @@ use crate::ouster_header::{Contents, FRAME_BYTES, PacketHeader, is_other_ouster_
 use crate::{ImuSample, SensorTime};
 use portolan_issue::{IssueKind, IssueLog};
 
-/// Bytes of a packet with one sample.
+/// Bytes of a packet with a single sample.
 const ONE_SAMPLE_BYTES: usize = 48;
-/// Bytes of one of several samples.
+/// Bytes of each sample in a packet with several.
 const SAMPLE_BYTES: usize = 36;
-/// The time of a sentence of a receiver of satellites, and the sentence.
+/// Bytes of an NMEA sentence of a GNSS receiver and its time.
 const SENTENCE_BYTES: usize = 100;
-/// No packet has more samples: a revolution has 64. Packets of lidars with `LEGACY` layouts, which begin with any byte, are
-/// longer or no whole number of samples.
+/// Maximum number of samples per packet; a revolution has 64. Lidar packets with the `LEGACY` layout may
+/// begin with any byte, but are longer or not a whole number of samples.
 const MAX_SAMPLES: usize = 128;
 
-/// What a packet has of one sample.
+/// One sample as in the packet.
 struct RawSample {
     measured: Time,
     angular_velocity: [f64; 3],
     linear_acceleration: [f64; 3],
 }
 
-/// Whether a packet is one of an Ouster's IMU.
+/// Whether a packet is an IMU packet of an Ouster.
 pub fn is_ouster_imu(packet: &[u8]) -> bool {
     packet.len() == ONE_SAMPLE_BYTES || samples(packet).is_some()
 }
 
-/// The serial number of the sensor that sent an IMU packet; those with one sample do not tell it.
+/// The serial number of the sensor that sent an IMU packet; packets with a single sample do not contain it.
 pub fn ouster_imu_serial(packet: &[u8]) -> Option<u64> {
     samples(packet).and_then(|_| PacketHeader::of(packet).serial(packet))
 }
 
-/// The bytes of several samples; none of any other packet.
+/// The bytes of several samples; none for any other packet.
 fn samples(packet: &[u8]) -> Option<&[u8]> {
     let around = 2 * FRAME_BYTES + SENTENCE_BYTES;
     let bytes = packet.len().checked_sub(around)?;
@@ -45,10 +45,11 @@ fn samples(packet: &[u8]) -> Option<&[u8]> {
     is_imu.then(|| packet.get(around - FRAME_BYTES..)?.get(..bytes)).flatten()
 }
 
-/// When the last sample of a packet was measured: it is the one that waited least.
+/// Time of measurement of the last sample of a packet, by the sensor's clock; it has the shortest delay until
+/// sending.
 pub(crate) fn imu_sensor_time(packet: &[u8]) -> Option<Time> {
     if packet.len() == ONE_SAMPLE_BYTES {
-        // The packet has the times of the system, of the accelerometer and of the gyroscope.
+        // The packet contains the times of the system, of the accelerometer and of the gyroscope.
         return Some(sensor_time(u64_at(packet, 16)));
     }
     let mut valid = samples(packet)?.chunks_exact(SAMPLE_BYTES).filter(|sample| is_valid(sample));
@@ -63,7 +64,7 @@ fn three(bytes: &[u8], at: usize, unit: f64) -> [f64; 3] {
     [0, 4, 8].map(|i| f64::from(f32_at(bytes, at + i)) * unit)
 }
 
-/// Gives the samples of a packet that arrived at a time, in SI units.
+/// Decodes the samples of a packet with its time of arrival, in SI units.
 pub(crate) fn imu_samples(
     (packet, arrival): (&[u8], Time),
     clock: &mut SensorTime,

@@ -1,41 +1,42 @@
-//! What Ouster's sensors tell about themselves (JSON), and what is assumed where they do not.
+//! Reads the metadata of Ouster sensors (JSON), with defaults for missing values.
 
 use serde_json::Value;
 
 use crate::ouster::USUAL_COLUMNS;
 use crate::{PacketHeader, PacketLayout, PacketProfile};
 
-/// What is known about a sensor.
+/// Properties of a sensor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OusterMetadata {
-    /// Degrees above the plane of rotation, by channel.
+    /// Elevation of the beam above the plane of rotation, degrees, by channel.
     pub altitudes: Vec<f64>,
-    /// Degrees from the azimuth of the column, by channel.
+    /// Offset of the beam from the azimuth of the column, degrees, by channel.
     pub azimuths: Vec<f64>,
-    /// Where the beams begin, ahead of the axis and above the origin of the lidar's frame, metres.
+    /// Origin of the beams: distance ahead of the axis, and height above the origin of the lidar's frame,
+    /// metres.
     pub beam_origin: [f64; 2],
-    /// Columns of a whole revolution.
+    /// Columns per revolution.
     pub columns_per_frame: usize,
-    /// Columns of a packet.
+    /// Columns per packet.
     pub columns_per_packet: usize,
     /// None if it is not given.
     pub profile: Option<PacketProfile>,
     /// None if it is not given.
     pub header: Option<PacketHeader>,
-    /// Which sensor it is, and from which start of it the metadata are; none where they do not tell.
+    /// Serial number of the sensor; none if the metadata do not contain it.
     pub serial: Option<u64>,
-    /// Changes with each start of the sensor.
+    /// A number that changes with each start of the sensor; none if the metadata do not contain it.
     pub initialization: Option<u32>,
     /// Port to which it sends lidar packets.
     pub lidar_port: Option<u16>,
-    /// Rows of the rotation and the translation in metres.
+    /// Extrinsics sensor from lidar: rows of the rotation matrix, and the translation in metres.
     rotation: [[f64; 3]; 3],
     translation: [f64; 3],
 }
 
 impl OusterMetadata {
-    /// What is assumed about a sensor with so many channels: beams at equal angles over the field of view
-    /// of an OS1, as many columns as were seen.
+    /// Default for a sensor with this number of channels: beams at equal angles over the field of view of an
+    /// OS1, and as many columns as were seen.
     pub fn assumed(channels: usize, columns_per_frame: usize) -> Self {
         let half = if channels == 16 { 16.6 } else { 22.5 };
         let gaps = channels.saturating_sub(1).max(1) as f64;
@@ -55,8 +56,8 @@ impl OusterMetadata {
         }
     }
 
-    /// Reads the JSON of any firmware; values may stand at the top or in sections. None if it has no angles
-    /// of beams.
+    /// Parses the JSON of any firmware; values may be at the top level or in sections. None if it has no beam
+    /// angles.
     pub fn parse(text: &str) -> Option<Self> {
         let json = Json(serde_json::from_str(text).ok()?);
         let altitudes = json.numbers("beam_altitude_angles")?;
@@ -93,10 +94,10 @@ impl OusterMetadata {
         }
     }
 
-    /// How its packets look, and what they tell of their sender.
+    /// Reads the packet layout, the serial number, the initialization number and the port.
     fn take_identity(&mut self, json: &Json) {
         self.profile = json.text("udp_profile_lidar").and_then(PacketProfile::named);
-        // Before firmware 3.2 the profile decided the header.
+        // Before firmware 3.2 the profile determined the header.
         let usual_header = self.profile.map(|profile| match profile {
             PacketProfile::FusaLowDataDual => PacketHeader::Fusa,
             _ => PacketHeader::Standard,
@@ -107,13 +108,15 @@ impl OusterMetadata {
         self.lidar_port = json.whole("udp_port_lidar").and_then(|port| u16::try_from(port).ok());
     }
 
-    /// The layout of a packet: that of the profile the metadata name, or of another with as many beams and as long.
+    /// The layout of a packet: that of the profile in the metadata, or of another one with the same number of
+    /// beams and the same length.
     pub fn layout_of(&self, packet: &[u8]) -> Option<PacketLayout> {
         let told = self.profile.into_iter().chain(PacketProfile::ALL);
         told.map(|profile| self.layout(profile, packet)).find(|l| l.packet_bytes() == packet.len())
     }
 
-    /// Whether packets are as these metadata say: as long, with columns below the number of a revolution.
+    /// Whether packets match these metadata: same length, and column numbers below the columns per
+    /// revolution.
     pub fn describe(&self, packet: &[u8], largest_column: u16) -> bool {
         let is_as_long = match self.profile {
             Some(profile) => self.layout(profile, packet).packet_bytes() == packet.len(),
@@ -122,7 +125,7 @@ impl OusterMetadata {
         is_as_long && usize::from(largest_column) < self.columns_per_frame
     }
 
-    /// Whether a packet means the same by these metadata and by others.
+    /// Whether a packet decodes to the same points with these metadata and with `other`.
     pub fn agrees(&self, other: &Self, packet: &[u8]) -> bool {
         let nameless = |metadata: &Self| Self {
             serial: None,
@@ -135,7 +138,7 @@ impl OusterMetadata {
         self.layout_of(packet) == other.layout_of(packet) && nameless(self) == nameless(other)
     }
 
-    /// Bytes of the packets of its profile; none if the metadata do not name it.
+    /// Bytes of a packet with its profile; none if the metadata do not name a profile.
     pub fn packet_bytes(&self) -> Option<usize> {
         self.profile.map(|profile| self.layout(profile, &[]).packet_bytes())
     }
@@ -145,7 +148,7 @@ impl OusterMetadata {
         PacketLayout { profile, header, channels: self.altitudes.len(), columns: self.columns_per_packet }
     }
 
-    /// A point of the lidar's frame in that of the sensor, metres.
+    /// Transforms a point from the lidar's frame to the sensor's frame, metres.
     pub fn sensor_from_lidar(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         let turned = self.rotation.map(|[a, b, c]| a * x + b * y + c * z);
         let ([x, y, z], [a, b, c]) = (turned, self.translation);
@@ -153,11 +156,12 @@ impl OusterMetadata {
     }
 }
 
-/// The JSON of a sensor.
+/// The metadata of a sensor as JSON.
 struct Json(Value);
 
 impl Json {
-    /// What packets are like stands among the settings that were asked for, too, which need not be those in force.
+    /// Finds a value, first among the active settings. The requested settings have the same keys but may not
+    /// be active.
     fn find(&self, key: &str) -> Option<&Value> {
         let in_force = find(&self.0, "lidar_data_format", 0).and_then(|section| find(section, key, 0));
         in_force.or_else(|| find(&self.0, key, 0))
@@ -171,7 +175,7 @@ impl Json {
         self.find(key).and_then(Value::as_str)
     }
 
-    /// A whole number, which may be written as text.
+    /// An integer, which may be written as text.
     fn whole(&self, key: &str) -> Option<u64> {
         let value = self.find(key)?;
         value.as_u64().or_else(|| value.as_str()?.trim().parse().ok())
@@ -185,8 +189,8 @@ impl Json {
         self.numbers(key).filter(|m| m.len() == 16 && m.iter().all(|v| v.is_finite()))
     }
 
-    /// Ahead and above, metres: from the transform of the beams, else from the distance to the axis alone, else that of
-    /// the model.
+    /// Origin of the beams, ahead and above, metres: from the transform of the beams, else from the distance
+    /// to the axis alone, else the default of the model.
     fn beam_origin(&self) -> [f64; 2] {
         let is_near = |mm: &f64| mm.abs() < 1000.0;
         let matrix = self.matrix("beam_to_lidar_transform");
@@ -204,8 +208,8 @@ impl Json {
     }
 }
 
-/// Distance of the beams' origin from the axis, millimetres, of sensors whose metadata do not have it (Ouster's SDK,
-/// `default_lidar_origin_to_beam_origin`): those of the first generation name no model.
+/// Distance of the beams' origin from the axis for sensors whose metadata do not have it, millimetres
+/// (Ouster's SDK, `default_lidar_origin_to_beam_origin`). Sensors of the first generation name no model.
 fn usual_origin(model: &str) -> f64 {
     match model.get(..5) {
         Some("OS-0-") => 27.67,
@@ -215,7 +219,7 @@ fn usual_origin(model: &str) -> f64 {
     }
 }
 
-/// The first value of a key, in sections of up to four levels.
+/// The first value with a key, in sections nested up to four levels.
 fn find<'a>(value: &'a Value, key: &str, depth: usize) -> Option<&'a Value> {
     let object = value.as_object()?;
     if let Some(found) = object.get(key) {

@@ -1,11 +1,11 @@
-//! Layouts of Ouster's lidar packets: what a channel of a column holds, by profile.
+//! Layouts of Ouster lidar packets: the contents of a channel of a column, by profile.
 
 use crate::bytes::{u16_at, u32_at};
 
 /// Layouts of the channels of lidar packets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PacketProfile {
-    /// `LEGACY`, of all firmware before 2.2.
+    /// `LEGACY`, the only one before firmware 2.2.
     Legacy,
     /// `RNG19_RFL8_SIG16_NIR16`.
     Single,
@@ -33,27 +33,27 @@ pub enum PacketProfile {
     DualColour,
 }
 
-/// How ranges of a channel are written.
+/// Encoding of the ranges of a channel.
 #[derive(Clone, Copy)]
 enum Ranges {
-    /// 20 bits of millimetres.
+    /// 20 bits, in millimetres.
     Bits20,
-    /// 19 bits of millimetres.
+    /// 19 bits, in millimetres.
     Bits19,
-    /// 15 bits, which count in 8 mm.
+    /// 15 bits, in units of 8 mm.
     Bits15,
 }
 
-/// Where a channel has what.
+/// Layout of a channel.
 struct Channel {
     bytes: usize,
     ranges: Ranges,
-    /// Places of reflectivity: one for each return. The ranges of returns are four bytes apart.
+    /// Offsets of reflectivity, one for each return. The ranges of returns are four bytes apart.
     reflectivities: &'static [usize],
 }
 
 impl PacketProfile {
-    /// All of them.
+    /// All profiles.
     pub const ALL: [Self; 13] = [
         Self::Legacy,
         Self::Single,
@@ -69,11 +69,11 @@ impl PacketProfile {
         Self::SingleColour,
         Self::DualColour,
     ];
-    /// Those that are assumed where nothing but the length of packets is known: the oldest of each size.
+    /// The profiles that are assumed if only the length of packets is known: the oldest of each size.
     pub(crate) const USUAL: [Self; 6] =
         [Self::Legacy, Self::Single, Self::LowData, Self::Dual, Self::FusaLowDataDual, Self::FiveWords];
 
-    /// As metadata name it (`udp_profile_lidar`).
+    /// Name in metadata (`udp_profile_lidar`).
     pub const fn name(self) -> &'static str {
         match self {
             Self::Legacy => "LEGACY",

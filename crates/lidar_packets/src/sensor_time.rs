@@ -1,39 +1,39 @@
-//! The clocks of sensors, put onto that of the recording.
+//! Maps the clocks of sensors to that of the recording.
 
 use portolan_geometry::{Duration, Time};
 
 use crate::PacketSource;
 use portolan_issue::{IssueKind, IssueLog};
 
-/// Puts the clock of a sensor onto that of the recording.
+/// Maps the clock of a sensor to that of the recording.
 ///
-/// A sensor whose clock agrees with the time of arrival to 2 s is believed. Any other clock (time since
-/// it was switched on, an hour that nobody set) is shifted once so that the first packet was measured
-/// when it arrived. A clock that jumps on the way, as it does when a receiver of satellites finds its
-/// time, goes on as before.
+/// A sensor clock within 2 s of the time of arrival is used as it is. Any other clock (time since power-on,
+/// an hour that was never set) is shifted once, so that the first packet was measured when it arrived. If the
+/// clock jumps later, as it does when a GNSS receiver gets its time, the shift is changed so that the times
+/// continue without the jump.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SensorTime {
-    /// Arrival after measurement of the first packet, if it was looked at before.
+    /// Lag (arrival minus measurement) of the first packet, if that packet was read before.
     first_lag: Option<Duration>,
     shift: Option<Duration>,
     /// The shift before the last jump.
     shift_before: Option<Duration>,
-    /// Arrival after measurement as at the start, with the shift.
+    /// Lag (arrival minus measurement) at the start, with the shift.
     usual_lag: Duration,
-    /// The packet before: by the sensor's clock, and its arrival.
+    /// The previous packet: time by the sensor's clock, and time of arrival.
     before: Option<(Time, Time)>,
 }
 
-/// Clocks nearer than this agree.
+/// Maximum difference between clocks that agree, seconds.
 const AGREEMENT: f64 = 2.0;
-/// Steps of a clock that differ from those of arrival by more are jumps; packets are never late by so much
-/// without those before.
+/// Minimum jump of a sensor clock, seconds: the difference between the step of the clock and the step of
+/// arrival. Packets are never delayed by this much unless those before them are, too.
 const JUMP: f64 = 1.0;
-/// A clock that comes back to this near of where it was before a jump is there again.
+/// Maximum distance from the shift before a jump at which the clock has returned from that jump, seconds.
 const BACK: f64 = 0.1;
 
 impl SensorTime {
-    /// The time of a measurement by the sensor's clock, in the recording's clock.
+    /// Converts the time of a measurement from the sensor's clock to the recording's clock.
     pub fn place(&mut self, sensor: Time, arrival: Time, issues: &mut IssueLog) -> Time {
         let shift = self.shift.unwrap_or_else(|| self.begin(arrival - sensor, issues));
         let shift = self.after_jump(sensor, arrival, shift).map_or(shift, |shift| {
@@ -56,13 +56,14 @@ impl SensorTime {
         shift
     }
 
-    /// The shift with which times go on if the clock jumped.
+    /// The new shift if the clock jumped, so that times continue without the jump.
     fn after_jump(&mut self, sensor: Time, arrival: Time, shift: Duration) -> Option<Duration> {
         let (last_sensor, last_arrival) = self.before?;
         let (step, waited) = (sensor - last_sensor, arrival - last_arrival);
         let is_jump = |step: Duration| step.seconds().abs() > JUMP;
-        // A recorder that hangs shows as waiting without a step, packets lost by it as a step that ends
-        // at the usual lag: neither is a jump of the sensor's clock.
+        // If the recorder hangs, arrivals are delayed without a step of the sensor clock. If it loses
+        // packets, the step of the sensor clock ends at the usual lag. Neither is a jump of the sensor's
+        // clock.
         let lag = arrival - (sensor + shift);
         if !is_jump(step) || !is_jump(step - waited) || !is_jump(lag - self.usual_lag) {
             return None;
@@ -73,18 +74,18 @@ impl SensorTime {
     }
 }
 
-/// What is known of a stream of packets before it is read.
+/// Properties of a stream of packets before it is read.
 pub struct PacketStream<'a, Host> {
-    /// Streams of the same sensor come from the same.
+    /// The host; streams of the same sensor have the same host.
     pub host: Host,
-    /// What sends it.
+    /// The sensor that sends it.
     pub source: &'a PacketSource,
-    /// Its first packet, and when that arrived.
+    /// Its first packet and the packet's time of arrival.
     pub first: (&'a [u8], Time),
 }
 
 impl<'a, Host> PacketStream<'a, Host> {
-    /// A stream of which the first packet is at hand.
+    /// A stream with its first packet.
     pub fn new(host: Host, source: &'a PacketSource, first: &'a (Vec<u8>, Time)) -> Self {
         Self { host, source, first: (&first.0, first.1) }
     }
@@ -94,14 +95,14 @@ impl<'a, Host> PacketStream<'a, Host> {
     }
 }
 
-/// By stream the number of its clock, and the clocks: as many as streams, of which some stay unused.
+/// The index of the clock of each stream, and the clocks: as many as streams, of which some are not used.
 ///
-/// Lidar and IMU of one sensor have one: shifted by the first packets of each, their times would differ by
-/// how long these two packets took.
+/// Lidar and IMU of one sensor share a clock. If each was shifted by its own first packet, their times would
+/// differ by the difference of the transmission delays of these two packets.
 pub fn clocks_of<Host: PartialEq>(streams: &[PacketStream<'_, Host>]) -> (Vec<usize>, Vec<SensorTime>) {
     let clock_of = |i: usize| lidar_of_imu(streams, i).unwrap_or(i);
     let numbers: Vec<usize> = (0..streams.len()).map(clock_of).collect();
-    // The packet that took least tells best when it was measured.
+    // The packet with the shortest delay gives the best estimate of the offset.
     let lag = |i: &usize| {
         let stream = streams.get(*i)?;
         let (packet, arrival) = stream.first;
@@ -117,7 +118,8 @@ pub fn clocks_of<Host: PartialEq>(streams: &[PacketStream<'_, Host>]) -> (Vec<us
     (numbers, clocks)
 }
 
-/// The lidar that sits in one housing with an IMU: that of its serial number, or the only ones of their host, or of all.
+/// The lidar in the same housing as an IMU: the one with the same serial number, else the only pair of the
+/// same host, else the only pair of all.
 fn lidar_of_imu<Host: PartialEq>(streams: &[PacketStream<'_, Host>], imu: usize) -> Option<usize> {
     let own = streams.get(imu).filter(|s| *s.source == PacketSource::OusterImu)?;
     let serial = own.serial();

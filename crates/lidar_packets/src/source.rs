@@ -1,4 +1,4 @@
-//! What sends packets.
+//! Describes the sources of packets.
 
 use portolan_geometry::Time;
 
@@ -7,7 +7,7 @@ use crate::ouster_imu::{imu_sensor_time, ouster_imu_serial};
 use crate::{Laser, OusterMetadata, PacketDecoder, PacketLayout};
 use portolan_issue::{IssueKind, IssueLog};
 
-/// What sends packets of one kind.
+/// A source of packets of one kind.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PacketSource {
     /// A Velodyne, with its calibration if there is one.
@@ -19,10 +19,11 @@ pub enum PacketSource {
 }
 
 impl PacketSource {
-    /// The lidar of an Ouster, from what it tells or from the length of a packet; none if no layout is as long.
+    /// The lidar of an Ouster, from its metadata or from the length of a packet; none if no layout has this
+    /// length.
     ///
-    /// `largest_column` is that of some packets ([`PacketLayout::largest_column`]): without metadata it tells how many
-    /// columns a revolution has.
+    /// `largest_column` is the largest column number of some packets ([`PacketLayout::largest_column`]).
+    /// Without metadata the number of columns per revolution is derived from it.
     pub fn ouster_lidar(
         metadata: Option<&OusterMetadata>,
         packet: &[u8],
@@ -42,7 +43,7 @@ impl PacketSource {
         Some(Self::OusterLidar(Box::new(metadata), layout))
     }
 
-    /// When a packet was measured by the sensor's clock, where that needs no packets before it.
+    /// Time of measurement of a packet by the sensor's clock, if it does not depend on earlier packets.
     pub fn sensor_time(&self, packet: &[u8]) -> Option<Time> {
         match self {
             Self::Velodyne(_) => None,
@@ -51,7 +52,7 @@ impl PacketSource {
         }
     }
 
-    /// The serial number of the sensor that sent a packet, where packets tell it.
+    /// The serial number of the sensor that sent a packet, if packets contain it.
     pub fn serial(&self, packet: &[u8]) -> Option<u64> {
         match self {
             Self::Velodyne(_) => None,
@@ -60,7 +61,7 @@ impl PacketSource {
         }
     }
 
-    /// Starts to decode.
+    /// A decoder for its packets.
     pub fn decoder(&self) -> PacketDecoder {
         PacketDecoder::new(self)
     }

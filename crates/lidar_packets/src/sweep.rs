@@ -1,20 +1,20 @@
-//! Points of a sweep as they come out of packets.
+//! Collects points from packets into sweeps.
 
 use portolan_geometry::Time;
 
-/// No sweep has more points; longer ones are cut.
+/// Maximum number of points of a sweep; longer sweeps are cut.
 const MAX_POINTS: usize = 1 << 21;
 
-/// One point in the frame of its sensor, at a time of its own.
+/// One point in the frame of its sensor, with its own time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PacketPoint {
     /// Metres.
     pub position: [f64; 3],
-    /// How much light came back, in the sensor's unit.
+    /// Intensity of the return, in the sensor's unit.
     pub intensity: f32,
-    /// Number of its beam, from below.
+    /// Number of its beam, counted from the lowest.
     pub ring: u16,
-    /// When it was measured.
+    /// Time of measurement.
     pub time: Time,
 }
 
@@ -23,18 +23,18 @@ pub struct PacketPoint {
 pub struct SweepPoint {
     /// In the frame of the sensor, metres.
     pub position: [f32; 3],
-    /// How much light came back, in the sensor's unit.
+    /// Intensity of the return, in the sensor's unit.
     pub intensity: f32,
-    /// Number of its beam, from below.
+    /// Number of its beam, counted from the lowest.
     pub ring: u16,
-    /// Seconds after the stamp of the sweep.
+    /// Time since the stamp of the sweep, seconds.
     pub seconds: f32,
 }
 
-/// The points of one sweep of a lidar, in the order in which they were measured.
+/// The points of one sweep of a lidar, in the order of measurement.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sweep {
-    /// When the first point was measured.
+    /// Time of measurement of the first point.
     pub stamp: Time,
     /// At least one.
     pub points: Vec<SweepPoint>,
@@ -59,12 +59,12 @@ impl SweepBuilder {
         });
     }
 
-    /// Whether no more points should be added.
+    /// Whether the maximum number of points is reached.
     pub fn is_full(&self) -> bool {
         self.points.len() >= MAX_POINTS
     }
 
-    /// Seconds since the first point.
+    /// Time since the first point, seconds.
     pub fn age(&self, now: Time) -> f64 {
         self.stamp.map_or(0.0, |stamp| (now - stamp).seconds())
     }

@@ -1,4 +1,4 @@
-//! Packets made by hand, and random ones.
+//! Decodes synthetic packets and random ones.
 
 use portolan_geometry::{Duration, Time};
 use proptest::prelude::*;
@@ -11,7 +11,8 @@ fn arrival() -> Time {
     Time::from_ros(1_700_000_000, 0)
 }
 
-/// A packet of a VLP-16: blocks from an azimuth (hundredths of a degree) on, 40 apart, all ranges the same.
+/// A packet of a VLP-16: blocks start at an azimuth (hundredths of a degree) and are 40 apart; all ranges are
+/// equal.
 fn puck_packet(azimuth: u16, range: u16, microseconds: u32, mode: u8, product: u8) -> Vec<u8> {
     let mut packet = Vec::new();
     for block in 0..12_u16 {
@@ -54,7 +55,7 @@ fn counted(issues: &[(IssueKind, u64)], fault: IssueKind) -> u64 {
 
 #[test]
 fn a_puck_measures_where_its_beams_point() {
-    // The sensor's clock counts from the hour, 1700000000 s is 20 min before one.
+    // The sensor's clock counts from the full hour; 1700000000 s is 20 min before one.
     let microseconds = (1_700_000_000_u64 % 3600 * 1_000_000) as u32;
     let packets = [
         (puck_packet(9000, 2500, microseconds, 0x37, 0x22), arrival()),
@@ -192,11 +193,11 @@ fn all_layouts_of_ouster_give_the_same_sphere() {
             let across = (x * x + y * y).sqrt() - 0.02;
             assert!(((across * across + z * z).sqrt() - 3.98).abs() < 2e-3, "{profile:?} {x} {y} {z}");
         }
-        // Column 0 looks along −x of the lidar's frame turned by half a turn: ahead is +x of the sensor
-        // at half a turn of the encoder.
+        // Column 0 points along −x of the lidar's frame rotated by half a turn: the +x direction of the
+        // sensor is at half a turn of the encoder.
         let ([x, y, _], _, ring, time) = all[1];
         assert!(x < 0.0 && y.abs() < 0.1 * x.abs() && ring == 62 && time == 0.0, "{x} {y}");
-        // A quarter of a turn on, clockwise.
+        // A quarter turn later, clockwise.
         let ([x, y, _], ..) = all[1024 + 1];
         assert!(y > 0.0 && x.abs() < 0.1 * y, "{x} {y}");
         assert!((all[1024].3 - 0.0256).abs() < 1e-6);
@@ -263,7 +264,7 @@ fn imu_packets_with_several_samples_are_in_si_units_already() {
     assert_eq!(samples[6].linear_acceleration, [0.5, 0.0, f64::from(9.81_f32)]);
     assert_eq!(samples[6].angular_velocity, [0.25, 0.0, 7.0]);
     assert_eq!(samples[6].time - samples[0].time, Duration::from_seconds(0.007));
-    // The lengths of lidar packets without a header are no such packets', whatever they begin with.
+    // Lidar packets without a header have lengths that no such packet has, whatever their first bytes are.
     for channels in [16, 32, 64, 128] {
         let mut lidar = ouster_packet(PacketProfile::Legacy, channels, 1, 0, 1000);
         lidar[0] = 2;
@@ -303,7 +304,8 @@ fn beams_may_begin_above_the_origin_of_the_lidar() {
     assert_eq!(metadata.packet_bytes(), Some(packet.len()));
     let source = PacketSource::OusterLidar(Box::new(metadata), layout);
     let (measured, _) = decode(&source, &[(packet, arrival())]);
-    // 5 m are counted from the origin of the lidar's frame, 50 mm by way of that of the beams.
+    // The range of 5 m is measured from the origin of the lidar's frame and includes 50 mm to the origin of
+    // the beams.
     let ([x, y, z], ..) = points(&sweeps(measured)[0])[0];
     assert!((x - 0.03).abs() < 1e-6 && y.abs() < 1e-6 && (z - 4.99).abs() < 1e-6, "{x} {y} {z}");
 }
@@ -322,7 +324,7 @@ fn settings_in_force_count_more_than_those_asked_for() {
     assert_eq!((metadata.lidar_port, metadata.beam_origin), (Some(7502), [0.001 * 27.67, 0.0]));
 }
 
-/// Packets of 400 turns' parts, 1.327 ms apart, the sensor's clock ahead of arrival by some seconds each.
+/// 400 packets, 1.327 ms apart; the sensor's clock is `ahead` seconds ahead of arrival for each packet.
 fn pucks(ahead: impl Fn(u64) -> f64) -> Vec<(Vec<u8>, Time)> {
     let start = 1_700_000_000_u64 % 3600 * 1_000_000;
     let packet = |i: u64| {
@@ -347,7 +349,7 @@ fn a_clock_that_jumps_goes_on_as_before() {
         assert_eq!(stamps, expected, "{jump} s");
         assert_eq!(issues, [(IssueKind::SensorClockJumped, 1)], "{jump} s");
     }
-    // One damaged time is there and back.
+    // One wrong time is two jumps: there and back.
     let (stamps, issues) = stamps(&pucks(|i| if i == 100 { 60.0 } else { 0.0 }));
     assert!(stamps == expected && issues == [(IssueKind::SensorClockJumped, 2)], "{issues:?}");
 }
@@ -361,7 +363,7 @@ fn recorders_that_hang_and_gaps_are_no_jumps_of_the_clock() {
     };
     let issues = with(&|i| if (100..200).contains(&i) { 3.0 } else { 0.0 }, &|_| true);
     assert!(issues.is_empty(), "{issues:?}");
-    // A pause of 40 min, by both clocks.
+    // A pause of 40 min in both clocks.
     let pause = |i: u64| if i < 200 { 0.0 } else { 2400.0 };
     let packets = pucks(pause).into_iter().enumerate();
     let packets: Vec<_> =

@@ -1,9 +1,9 @@
-//! Data packets of Velodyne's sensors.
+//! Decodes data packets of Velodyne sensors.
 //!
-//! A packet has twelve blocks, each with an azimuth (hundredths of a degree, clockwise) and 32 distances
-//! with intensities; then the time (µs since the hour) of its first firing, the return mode and the
-//! product. Beams fire one after another while the head turns, so each gets its own azimuth and time.
-//! Points are in the frame of Velodyne's ROS driver: x at azimuth 0, y to the left, z up.
+//! A packet has twelve blocks, each with an azimuth (hundredths of a degree, clockwise) and 32 distances with
+//! intensities, followed by the time of its first firing (µs since the full hour), the return mode and the
+//! product. Beams fire one after another while the head turns, so each gets its own azimuth and time. Points
+//! are in the frame of Velodyne's ROS driver: x at azimuth 0, y to the left, z up.
 
 use std::f64::consts::PI;
 
@@ -19,12 +19,12 @@ use portolan_issue::{IssueKind, IssueLog};
 /// Return mode of packets whose blocks come in pairs of the same azimuth.
 const DUAL: u8 = 0x39;
 const HOUR_MICROSECONDS: i64 = 3_600_000_000;
-/// No two packets of a recording are further apart: a year, in microseconds.
+/// Maximum gap between two packets of a recording: a year, in microseconds.
 const LONGEST_WAIT: i64 = 366 * 24 * HOUR_MICROSECONDS;
 const TICKS_PER_MICROSECOND: i64 = 10;
 /// A full turn in hundredths of a degree.
 const TURN: i32 = 36_000;
-/// Without a cut of its azimuth a sweep is ended after this, seconds.
+/// Maximum duration of a sweep, seconds, if its azimuth never passes 0.
 const LONGEST_SWEEP: f64 = 1.5;
 
 /// Whether a packet is one of Velodyne's data packets.
@@ -32,20 +32,20 @@ pub fn is_velodyne(packet: &[u8]) -> bool {
     packet.len() == PACKET_BYTES && matches!(u16_at(packet, 0), UPPER | LOWER)
 }
 
-/// Turns packets of one sensor into sweeps, cut where the azimuth passes 0.
+/// Assembles the packets of one sensor to sweeps; a sweep ends where the azimuth passes 0.
 pub(crate) struct VelodyneDecoder {
     model: Option<VelodyneModel>,
-    /// By the number of the beam: sine and cosine of the elevation.
+    /// By beam number: the beam, and sine and cosine of its elevation.
     lasers: Vec<(Laser, f64, f64)>,
     calibration: Option<Vec<Laser>>,
     builder: SweepBuilder,
     last_azimuth: Option<i32>,
-    /// Microseconds of the packet before, unwrapped, and when it arrived.
+    /// Time of the previous packet, unwrapped, microseconds, and its time of arrival.
     last_time: Option<(i64, Time)>,
 }
 
 impl VelodyneDecoder {
-    /// A sensor, with a calibration instead of nominal angles if there is one.
+    /// A decoder for a sensor; a calibration, if given, replaces the nominal angles.
     pub fn new(calibration: Option<Vec<Laser>>) -> Self {
         Self {
             model: None,
@@ -57,7 +57,7 @@ impl VelodyneDecoder {
         }
     }
 
-    /// Adds a packet that arrived at a time; complete sweeps go to `sweeps`.
+    /// Adds a packet with its time of arrival; complete sweeps go to `sweeps`.
     pub fn push(
         &mut self,
         (packet, arrival): (&[u8], Time),
@@ -82,7 +82,7 @@ impl VelodyneDecoder {
                 issues.count(IssueKind::DamagedVelodyneBlock, 1);
                 continue;
             }
-            // The head passed azimuth 0, or stood still for long.
+            // A new sweep starts where the head passed azimuth 0, or if the sweep is too long.
             let wrapped = self.last_azimuth.replace(azimuth).is_some_and(|last| azimuth + TURN / 2 < last);
             let offset = if is_paired { block / 2 } else { block } as f64 * model.block_time();
             let block_time = start + Duration::from_seconds(offset);
@@ -96,7 +96,7 @@ impl VelodyneDecoder {
         }
     }
 
-    /// The sweep that is not complete yet.
+    /// The last, incomplete sweep.
     pub fn finish(&mut self) -> Option<Sweep> {
         self.last_azimuth = None;
         self.builder.take()
@@ -121,14 +121,15 @@ impl VelodyneDecoder {
         model
     }
 
-    /// When the first firing of a packet was by the sensor's clock, which tells only the time in the hour.
+    /// Time of the first firing of a packet by the sensor's clock. The packet only has the time since the
+    /// full hour.
     fn sensor_time(&mut self, packet: &[u8], arrival: Time) -> Time {
         let raw = i64::from(u32_at(packet, BLOCKS * BLOCK_BYTES)) % HOUR_MICROSECONDS;
         let nearest = |time: i64| {
             raw + (time - raw + HOUR_MICROSECONDS / 2).div_euclid(HOUR_MICROSECONDS) * HOUR_MICROSECONDS
         };
         let microseconds = match self.last_time {
-            // A packet that goes on from the one before is not moved by a wrong time of arrival.
+            // A wrong time of arrival does not move a packet that continues the one before it.
             Some((last, _)) if (nearest(last) - last).abs() < 1_000_000 => nearest(last),
             Some((last, last_arrival)) => {
                 let waited = (arrival - last_arrival).ticks() / TICKS_PER_MICROSECOND;
@@ -140,7 +141,7 @@ impl VelodyneDecoder {
         Time::UNIX_EPOCH + Duration::from_ticks(microseconds.saturating_mul(TICKS_PER_MICROSECOND))
     }
 
-    /// Adds the returns of a block; of two returns that are the same only one.
+    /// Adds the returns of a block; of two equal returns only one is added.
     fn add_block(
         &mut self,
         model: VelodyneModel,
@@ -175,13 +176,13 @@ impl VelodyneDecoder {
     }
 }
 
-/// Hundredths of a degree per second at which the head turns, from the first and the last block.
+/// Rotation rate of the head, hundredths of a degree per second, from the first and the last block.
 fn azimuth_rate(packet: &[u8], is_paired: bool, model: VelodyneModel) -> f64 {
     let step = if is_paired { 2 } else { 1 };
     let azimuth = |block: usize| i32::from(u16_at(packet, block * BLOCK_BYTES + 2));
     let last = BLOCKS - step;
     let turned = (azimuth(last) - azimuth(0)).rem_euclid(TURN);
-    // More than a quarter of a turn within a packet is a fault.
+    // More than a quarter turn within a packet is an error.
     if turned > TURN / 4 {
         return 0.0;
     }

@@ -1,4 +1,4 @@
-//! Velodyne's sensors: where their beams point and when they fire (user manuals of VLP-16, VLP-32C,
+//! Models of Velodyne sensors: directions and firing times of their beams (user manuals of VLP-16, VLP-32C,
 //! HDL-32E and HDL-64E).
 
 use std::f64::consts::PI;
@@ -7,7 +7,7 @@ use crate::bytes::u16_at;
 
 /// Bytes of every data packet.
 pub(crate) const PACKET_BYTES: usize = 1206;
-/// Blocks of a packet, bytes of a block, channels of a block.
+/// Blocks per packet, bytes per block, channels per block.
 pub(crate) const BLOCKS: usize = 12;
 pub(crate) const BLOCK_BYTES: usize = 100;
 pub(crate) const CHANNELS: usize = 32;
@@ -15,49 +15,49 @@ pub(crate) const CHANNELS: usize = 32;
 pub(crate) const UPPER: u16 = 0xeeff;
 pub(crate) const LOWER: u16 = 0xddff;
 
-/// A kind of sensor.
+/// A sensor model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VelodyneModel {
-    /// 16 beams of ±15°, also Puck LITE.
+    /// 16 beams within ±15°, also Puck LITE.
     Vlp16,
-    /// 16 beams of ±10°.
+    /// 16 beams within ±10°.
     PuckHiRes,
     /// VLP-32C "Ultra Puck".
     Vlp32c,
     /// 32 beams, -30.67° to 10.67°.
     Hdl32e,
-    /// 64 beams, of which each sensor has a calibration of its own.
+    /// 64 beams; each sensor has its own calibration.
     Hdl64e,
 }
 
 /// One beam: angles in radians, offsets in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Laser {
-    /// Above the plane of rotation.
+    /// Angle above the plane of rotation.
     pub elevation: f64,
     /// Subtracted from the azimuth of the block.
     pub azimuth: f64,
     /// Added to the distance.
     pub distance: f64,
-    /// Of the beam's origin across the beam, upwards.
+    /// Offset of the beam's origin perpendicular to the beam, upwards.
     pub vertical_offset: f64,
-    /// Of the beam's origin across the beam, to the left.
+    /// Offset of the beam's origin perpendicular to the beam, to the left.
     pub horizontal_offset: f64,
-    /// Number from below.
+    /// Number counted from the lowest beam.
     pub ring: u16,
 }
 
-/// Order of the beams of an HDL-64E within each block of 32, from the lowest up.
+/// Order of the beams of an HDL-64E within each block of 32, starting with the lowest.
 const HDL64_ORDER: [usize; 32] = [
     6, 7, 10, 11, 0, 1, 4, 5, 8, 9, 14, 15, 18, 19, 22, 23, 12, 13, 16, 17, 20, 21, 26, 27, 30, 31, 2, 3, 24,
     25, 28, 29,
 ];
-/// Horizontal spread of the beams of the upper block of an HDL-64E, degrees, nominal.
+/// Nominal azimuth offsets of the beams of the upper block of an HDL-64E, degrees.
 const HDL64_SPREAD: [f64; 32] = [
     -4.0, -2.2, 4.0, 6.0, 0.8, 2.2, 0.0, 1.5, 4.8, 6.4, 4.0, 6.0, -3.8, -2.0, -4.8, -2.8, 0.5, 2.2, 0.0, 1.7,
     4.9, 6.3, 4.0, 6.0, -3.5, -2.0, -4.6, -2.7, 0.6, 2.0, -0.2, 1.7,
 ];
-/// Elevation of the beams of a VLP-32C in the order in which they stand in a packet, degrees.
+/// Elevations of the beams of a VLP-32C in the order of a packet, degrees.
 const VLP32_ELEVATIONS: [f64; 32] = [
     -25.0, -1.0, -1.667, -15.639, -11.31, 0.0, -0.667, -8.843, -7.254, 0.333, -0.333, -6.148, -5.333, 1.333,
     0.667, -4.0, -4.667, 1.667, 1.0, -3.667, -3.333, 3.333, 2.333, -2.667, -3.0, 7.0, 4.667, -2.333, -2.0,
@@ -70,7 +70,7 @@ const VLP32_OFFSETS: [f64; 32] = [
 ];
 
 impl VelodyneModel {
-    /// From a data packet; unknown products count as a VLP-16, the second result being false then.
+    /// The model from a data packet. Unknown products count as a VLP-16; then the second result is false.
     pub fn of(packet: &[u8]) -> (Self, bool) {
         let is_lower = (0..BLOCKS).any(|block| u16_at(packet, block * BLOCK_BYTES) == LOWER);
         if is_lower {
@@ -85,7 +85,7 @@ impl VelodyneModel {
         }
     }
 
-    /// Maker and model, for people.
+    /// Manufacturer and model, for messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Vlp16 => "Velodyne VLP-16",
@@ -101,7 +101,7 @@ impl VelodyneModel {
         if self == Self::Vlp32c { 0.004 } else { 0.002 }
     }
 
-    /// Seconds that one block takes (one of a pair where two returns or two halves share an azimuth).
+    /// Duration of one block, seconds (of one of a pair, where two returns or two halves share an azimuth).
     pub fn block_time(self) -> f64 {
         match self {
             Self::Vlp16 | Self::PuckHiRes => 110.592e-6,
@@ -111,7 +111,7 @@ impl VelodyneModel {
         }
     }
 
-    /// Seconds from the start of a block to a channel.
+    /// Time from the start of a block to the firing of a channel, seconds.
     pub fn channel_delay(self, channel: usize) -> f64 {
         match self {
             Self::Vlp16 | Self::PuckHiRes => {
@@ -123,7 +123,7 @@ impl VelodyneModel {
         }
     }
 
-    /// Number of the beam of a channel.
+    /// Beam number of a channel.
     pub fn laser_of(self, channel: usize, is_lower: bool) -> usize {
         match self {
             Self::Vlp16 | Self::PuckHiRes => channel % 16,
@@ -132,7 +132,8 @@ impl VelodyneModel {
         }
     }
 
-    /// The beams by their numbers. Those of an HDL-64E are nominal: each unit has its own calibration.
+    /// The beams by their numbers. Those of an HDL-64E are nominal, because each unit has its own
+    /// calibration.
     pub fn lasers(self) -> Vec<Laser> {
         let degrees: Vec<[f64; 2]> = match self {
             Self::Vlp16 => puck(15.0),
@@ -165,14 +166,14 @@ impl VelodyneModel {
     }
 }
 
-/// The interleaved beams of a Puck: even ones from the lowest up, odd ones from the middle up.
+/// The interleaved beams of a Puck: even ones from the lowest upwards, odd ones from the middle upwards.
 fn puck(half_angle: f64) -> Vec<[f64; 2]> {
     let step = 2.0 * half_angle / 15.0;
     let rank = |i: usize| if i.is_multiple_of(2) { i / 2 } else { 8 + i / 2 };
     (0..16).map(|i| [-half_angle + step * rank(i) as f64, 0.0]).collect()
 }
 
-/// Numbers rings from below.
+/// Numbers the rings from the lowest beam.
 pub(crate) fn with_rings(mut lasers: Vec<Laser>) -> Vec<Laser> {
     let mut order: Vec<&mut Laser> = lasers.iter_mut().collect();
     order.sort_by(|a, b| a.elevation.total_cmp(&b.elevation));
@@ -182,9 +183,9 @@ pub(crate) fn with_rings(mut lasers: Vec<Laser>) -> Vec<Laser> {
     lasers
 }
 
-/// Reads a calibration as `velodyne_pointcloud` has it (YAML with a list `lasers`, keys `laser_id`,
+/// Parses a calibration in the format of `velodyne_pointcloud` (YAML with a list `lasers`, keys `laser_id`,
 /// `vert_correction`, `rot_correction`, `dist_correction`, `vert_offset_correction`,
-/// `horiz_offset_correction`; metres and radians). None if it is none.
+/// `horiz_offset_correction`; metres and radians). None if the text is not a calibration.
 pub fn parse_calibration(text: &str) -> Option<Vec<Laser>> {
     let mut lasers: Vec<(Option<usize>, Laser)> = Vec::new();
     let words = text.split(['\n', ',', '{', '}']);

@@ -1,9 +1,9 @@
-//! IMU samples as they would have been measured along the poses of nodes.
+//! Derives IMU samples from the poses of nodes.
 //!
-//! Cartographer ends where it optimises a 3D trajectory whose IMU data do not reach back to its first node, and
-//! takes the last sample to hold over any gap. Where nothing was measured, maps get samples that agree with the
-//! poses and with gravity: all residuals of the IMU are zero where the nodes stand. They are marked
-//! (`derived_from_poses`) and not read again.
+//! Cartographer aborts when it optimises a 3D trajectory whose IMU data do not reach back to its first node,
+//! and it extends the last sample over any gap. Where nothing was measured, maps get samples that are
+//! consistent with the poses and gravity: at the poses of the nodes all IMU residuals are zero. They are
+//! marked (`derived_from_poses`) and not read again.
 
 use std::collections::VecDeque;
 
@@ -17,18 +17,18 @@ use portolan_pbstream::proto::mapping as m;
 use portolan_pbstream::proto::sensor;
 use portolan_pbstream::proto::transform::Vector3d;
 
-/// A measured sample counts for this long, as in mapping.
+/// Time for which a measured sample is valid, as in mapping: 0.5 s.
 const MAX_GAP: Duration = Duration::from_ticks(5_000_000);
-/// Samples between two nodes. An even number, so that acceleration may change in the middle.
+/// Number of samples between two nodes. It is even, so that acceleration can change in the middle.
 const PER_INTERVAL: i64 = 4;
 
-/// The derived samples of one trajectory, handed out between the measured ones.
+/// Derived samples of one trajectory, returned in sequence with the measured ones.
 #[derive(Debug, Default)]
 pub(crate) struct DerivedImu {
     trajectory_id: i32,
     nodes: Vec<(Time, Rigid3)>,
     state: ImuState,
-    /// Those that are not handed out yet; none before the first was asked for.
+    /// Samples not yet returned; none before the first call.
     pending: Option<VecDeque<sensor::ImuData>>,
     last_measured: Option<Time>,
 }
@@ -39,7 +39,7 @@ impl DerivedImu {
         Self { trajectory_id, nodes, ..Self::default() }
     }
 
-    /// For a trajectory of a file; nodes without a valid pose are left out.
+    /// Samples for a trajectory of a file; nodes without a valid pose are left out.
     pub fn of(trajectory: &m::Trajectory) -> Self {
         let node = |n: &m::trajectory::Node| {
             Some((Time::from_ticks(n.timestamp), pose_from_proto(n.pose.as_ref())?))
@@ -47,19 +47,19 @@ impl DerivedImu {
         Self::new(trajectory.trajectory_id, trajectory.node.iter().filter_map(node).collect())
     }
 
-    /// What is known of the IMU; to be said before the first sample.
+    /// Sets gravity and calibration of the IMU. To be called before the first sample.
     pub fn set_state(&mut self, state: ImuState) {
         self.state = state;
     }
 
-    /// What has to stand before a measured sample of this time.
+    /// Derived samples to write before a measured sample of this time.
     pub fn before(&mut self, measured: Time) -> Vec<m::ImuData> {
         let messages = self.until(measured);
         self.last_measured = Some(measured);
         messages
     }
 
-    /// What has to stand after the last measured sample.
+    /// Derived samples to write after the last measured sample.
     pub fn rest(&mut self) -> Vec<m::ImuData> {
         self.until(Time::MAX)
     }
@@ -81,14 +81,14 @@ impl DerivedImu {
     }
 }
 
-/// From one node to the next.
+/// Constant-velocity motion from one node to the next.
 struct Interval {
     start: Time,
     end: Time,
     velocity: Vector3,
-    /// Map from tracking at the start.
+    /// Rotation map from tracking at the start.
     rotation: Quaternion,
-    /// Of tracking, rad/s.
+    /// Angular velocity in the tracking frame, rad/s.
     rate: Vector3,
 }
 
@@ -108,7 +108,7 @@ impl Interval {
         self.end.seconds_since(self.start)
     }
 
-    /// When its sample of this number begins. The middle is rounded as the integration rounds it.
+    /// Start time of a sample by its number. The middle is rounded as in the integration.
     fn sample_time(&self, number: i64) -> Time {
         let ticks = (self.end - self.start).ticks();
         let half = ticks / 2;
@@ -120,13 +120,13 @@ impl Interval {
         self.start + Duration::from_ticks(offset)
     }
 
-    /// Map from tracking within the interval.
+    /// Rotation map from tracking at a time within the interval.
     fn rotation_at(&self, time: Time) -> Quaternion {
         self.rotation * quaternion_from_angle_axis(&(self.rate * time.seconds_since(self.start)))
     }
 }
 
-/// Acceleration in the map between the middles of two intervals; none where they do not touch.
+/// Acceleration in the map between the middles of two intervals; zero if they are not adjacent.
 fn acceleration(first: Option<&Interval>, second: Option<&Interval>) -> Vector3 {
     match (first, second) {
         (Some(a), Some(b)) if a.end == b.start => {
@@ -156,7 +156,7 @@ fn samples(nodes: &[(Time, Rigid3)], state: &ImuState) -> Vec<sensor::ImuData> {
         let at_start = acceleration(before, Some(interval));
         let at_end = acceleration(Some(interval), intervals.get(i + 1));
         for number in 0..PER_INTERVAL {
-            // The integration turns first and adds velocity then.
+            // The integration applies the rotation first and adds the velocity then.
             let rotation = interval.rotation_at(interval.sample_time(number + 1));
             let acceleration = if number < PER_INTERVAL / 2 { at_start } else { at_end };
             samples.push(message(interval.sample_time(number), rotation, acceleration, interval.rate));

@@ -1,8 +1,8 @@
-//! Maps edited as documents: parts removed, maps merged, moved, corrected, optimised.
+//! Edits maps as documents: removes parts, merges, moves, corrects and optimises maps.
 //!
-//! A [`MapDraft`] holds the pose graph and the options in memory and knows the files where the rest
-//! (submaps, nodes, measurements) comes from. That rest is copied when the draft is written, message by
-//! message: memory does not grow with the grids, and what need not be changed keeps its bytes.
+//! A [`MapDraft`] holds the pose graph and the options in memory and the paths of the files with the rest
+//! (submaps, nodes, measurements). The rest is copied when the draft is written, message by message: memory
+//! does not grow with the grids, and messages without changes keep their bytes.
 
 mod area;
 mod clear;

@@ -1,4 +1,4 @@
-//! Where on the Earth a map lies.
+//! Georeference of a map: its pose on the Earth.
 
 use portolan_geometry::{
     GeodeticPosition, Rigid3, TransformBuffer, Vector3, moved, rotation_from_roll_pitch_yaw,
@@ -6,41 +6,42 @@ use portolan_geometry::{
 use portolan_mapping::{EndedTrajectory, Map, PoseGraph, Space, TrajectoryId, of_trajectory};
 use portolan_numeric::median;
 
-/// So many fixes tell where a map lies.
+/// Minimum number of fixes to align a map.
 const FEWEST_FIXES: usize = 10;
-/// Fixes farther off than so many medians are outliers: reflected signals.
+/// Factor of the median residual above which a fix is an outlier (multipath); dimensionless.
 const OUTLIER: f64 = 3.0;
-/// The way spreads at least so many times as far as fixes are off, so that they tell its heading to a few degrees.
+/// Minimum ratio of the spread of positions to the residuals of fixes (both RMS), which determines the
+/// heading to a few degrees; dimensionless.
 const LEAST_SPREAD: f64 = 3.0;
-/// Of a Rayleigh distribution: its median by the standard deviation along each axis.
+/// Ratio of the median of a Rayleigh distribution to the standard deviation along each axis.
 const MEDIAN_BY_SIGMA: f64 = 1.177_41;
 
-/// Where on the Earth a map lies: a trajectory of it was mapped with satellite fixes.
+/// Pose of a map on the Earth, from a trajectory with satellite fixes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Georeference {
-    /// Where the fixed frame of fixes begins …
+    /// Origin of the fixed frame of the fixes.
     origin: GeodeticPosition,
-    /// … and where this frame lies in the map.
+    /// Pose of this frame in the map.
     map_from_fixed: Rigid3,
-    /// How far fixes lie off the map that was made with them: the standard deviation along each horizontal axis, metres;
-    /// none if the file has no fixes any more.
+    /// Standard deviation of the residuals of fixes against the map made with them, along each horizontal
+    /// axis, metres; none if the file has no fixes any more.
     sigma: Option<f64>,
 }
 
-/// A fix in the fixed frame, and where the map says that it was taken.
+/// A fix in the fixed frame, and the position of the tracking frame in the map at its time.
 struct Pair {
     in_fixed: Vector3,
     in_map: Vector3,
 }
 
 impl Pair {
-    /// Horizontal distance, metres.
+    /// Horizontal residual, metres.
     fn residual(&self, map_from_fixed: &Rigid3) -> f64 {
         ((map_from_fixed * nalgebra::Point3::from(self.in_fixed)).coords - self.in_map).xy().norm()
     }
 }
 
-/// The fixes of a trajectory, where it has nodes around them.
+/// The fixes of a trajectory at times between its nodes.
 fn pairs<S: Space>(graph: &PoseGraph<S>, id: TrajectoryId) -> Vec<Pair> {
     let poses: TransformBuffer = of_trajectory(&graph.state().nodes, id)
         .map(|(_, node)| (node.data.time, node.map_from_tracking))
@@ -53,8 +54,9 @@ fn pairs<S: Space>(graph: &PoseGraph<S>, id: TrajectoryId) -> Vec<Pair> {
     fixes.filter_map(pair).collect()
 }
 
-/// Where fixes fit the map best, upright in both: least squares (Horn 1987, about one axis), and once more without those that
-/// lie far off. None if they do not tell a heading: the way is not long enough for how far they are off.
+/// Pose of the fixed frame in the map that fits the fixes best, upright in both frames: least squares (Horn
+/// 1987, about one axis), repeated without outliers. None if the fixes do not determine a heading: the path
+/// is too short in comparison with their residuals.
 fn aligned(pairs: &[Pair], at_first: &Rigid3) -> Option<Rigid3> {
     let all: Vec<&Pair> = pairs.iter().collect();
     let rough = fitted(&all, at_first)?;
@@ -84,14 +86,14 @@ fn fitted(pairs: &[&Pair], at_first: &Rigid3) -> Option<Rigid3> {
     }
     let rotation = rotation_from_roll_pitch_yaw(0.0, 0.0, sine.atan2(cosine));
     let mut shift = in_map - rotation * in_fixed;
-    // Heights of fixes are good for nothing here, and none in 2D.
+    // Heights of fixes are too inaccurate here, and 2D has none.
     shift.z = at_first.translation.z;
     Some(Rigid3::from_parts(shift.into(), rotation))
 }
 
 impl Georeference {
-    /// That of a map; of several trajectories with fixes the first one counts. None if the map was not made with fixes, or
-    /// the file does not say where on the Earth they were.
+    /// Georeference of a map; of several trajectories with fixes the first one is used. None if the map was
+    /// made without fixes, or if the file has no position of the fixed frame on the Earth.
     pub fn of<S: Space>(map: &Map<S>) -> Option<Self> {
         let mut all = map.trajectories.iter();
         all.find_map(|(id, ended)| Self::of_trajectory(&map.graph, *id, ended))
@@ -105,32 +107,32 @@ impl Georeference {
         let origin = ended.fixed_frame_on_earth?;
         let map_from_fixed = graph.problem().fixed_frame_origins.get(&id).copied().flatten()?;
         let pairs = pairs(graph, id);
-        // Optimisation may not have turned the frame of fixes to where they fit best.
+        // Optimisation may have left the fixed frame at a rotation that does not fit the fixes best.
         let map_from_fixed = aligned(&pairs, &map_from_fixed).unwrap_or(map_from_fixed);
         let mut off: Vec<f64> = pairs.iter().map(|pair| pair.residual(&map_from_fixed)).collect();
         let sigma = median(&mut off).map(|distance| distance / MEDIAN_BY_SIGMA);
         Some(Self { origin, map_from_fixed, sigma })
     }
 
-    /// That of the map after it was moved along its axes, metres.
+    /// Georeference after the map was shifted along its axes, metres.
     pub fn moved_by(self, shift: &Vector3) -> Self {
         Self { map_from_fixed: moved(&self.map_from_fixed, shift), ..self }
     }
 
-    /// Where a place on the Earth is in the map, metres.
+    /// Position in the map of a position on the Earth, metres.
     pub fn in_map(&self, place: &GeodeticPosition) -> Vector3 {
         let in_fixed = self.origin.local_from_ecef() * nalgebra::Point3::from(place.to_ecef());
         (self.map_from_fixed * in_fixed).coords
     }
 
-    /// How far fixes lie off the map that was made with them, as far as is known: the standard deviation along each
-    /// horizontal axis, metres.
+    /// Standard deviation of the residuals of fixes against the map made with them, along each horizontal
+    /// axis, metres; none if unknown.
     pub fn sigma(&self) -> Option<f64> {
         self.sigma
     }
 
-    /// Says of one more trajectory of the map where its fixed frame would lie, so that the map keeps its place on the Earth
-    /// when others are removed.
+    /// Sets the fixed frame for one more trajectory of the map, so that the map stays georeferenced when
+    /// other trajectories are removed.
     pub fn hand_on<S: Space>(&self, map: &mut Map<S>, id: TrajectoryId) {
         if let Some(ended) = map.trajectories.get_mut(&id) {
             ended.fixed_frame_on_earth = Some(self.origin);

@@ -1,4 +1,4 @@
-//! What is in a map: counts, times, lengths, extents.
+//! Summarises a map: counts, times, lengths, extents.
 
 use std::collections::BTreeMap;
 
@@ -24,33 +24,32 @@ use portolan_pbstream::{IgnoredMessages, MapReader};
 pub struct MapInfo {
     /// Format version of the file.
     pub format_version: u32,
-    /// Messages after the first three by their names, with those counters of submaps that are always
-    /// there.
+    /// Numbers of messages after the first three, by name. The counters of submaps are always present.
     pub counters: BTreeMap<String, u64>,
-    /// Bytes of the unpacked messages by their names: what they take in the file before compression.
+    /// Bytes of the messages before compression, by name.
     pub unpacked_bytes: BTreeMap<String, u64>,
-    /// In the order of the file.
+    /// Trajectories in the order of the file.
     pub trajectories: Vec<TrajectoryInfo>,
     /// Constraints by kind.
     pub constraints: ConstraintCounts,
     /// Landmarks with a pose.
     pub landmarks: u64,
-    /// What the grids are.
+    /// Summary of the grids.
     pub grids: GridInfo,
-    /// Around the positions of all nodes, in the global map.
+    /// Box around the positions of all nodes, in the global map.
     pub bounding_box: Option<Extent>,
-    /// Around the known cells of all submaps, in the global map.
+    /// Box around the known cells of all submaps, in the global map.
     pub mapped_extent: Option<Extent>,
-    /// What ends the file too early, if anything does: what comes behind is not counted.
+    /// Damage that ends reading early, if any; messages after it are not counted.
     pub damage: Option<String>,
-    /// Messages that were left out.
+    /// Messages that were skipped.
     pub ignored: IgnoredMessages,
 }
 
 /// Summary of one trajectory.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct TrajectoryInfo {
-    /// As it stands in the file.
+    /// Number of the trajectory in the file.
     pub id: i32,
     /// Nodes in the pose graph.
     pub nodes: u64,
@@ -58,21 +57,22 @@ pub struct TrajectoryInfo {
     pub submaps: u64,
     /// Submaps that are finished.
     pub finished_submaps: u64,
-    /// Length of the line through the positions of the nodes, metres.
+    /// Length of the polyline through the positions of the nodes, metres.
     pub path_length: f64,
-    /// Unix time of the first node, seconds with seven exact places.
+    /// Unix time of the first node, seconds with seven exact decimal places.
     pub start_time: Option<String>,
-    /// From the first to the last node, seconds.
+    /// Time from the first to the last node, seconds.
     pub duration: f64,
     /// Sensors by kind and name.
     pub sensors: Vec<SensorInfo>,
-    /// Sensor messages kept for optimisation by their kind.
+    /// Numbers of sensor messages kept for optimisation, by kind.
     pub sensor_data: BTreeMap<String, u64>,
-    /// Estimated gravity, m/s², where it was.
+    /// Estimated gravity, m/s²; none if it was not estimated.
     pub gravity_constant: Option<f64>,
-    /// Whether a fixed frame (GNSS) was placed in the map.
+    /// Whether a fixed frame (GNSS) has a pose in the map.
     pub has_fixed_frame: bool,
-    /// Where on the Earth that frame begins, if the file says it: latitude and longitude in degrees, altitude in metres.
+    /// Origin of that frame on the Earth, if the file has it: latitude and longitude in degrees, altitude in
+    /// metres.
     pub fixed_frame_on_earth: Option<[f64; 3]>,
     /// The options in protobuf text.
     pub options: String,
@@ -87,7 +87,7 @@ pub struct SensorInfo {
     pub id: String,
 }
 
-/// How many constraints of which kind.
+/// Numbers of constraints by kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct ConstraintCounts {
     /// Nodes in the submaps they were inserted into.
@@ -98,7 +98,7 @@ pub struct ConstraintCounts {
     pub inter_trajectory: u64,
 }
 
-/// What the grids of a map are.
+/// Summary of the grids of a map.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct GridInfo {
     /// 2D grids of probabilities.
@@ -107,13 +107,13 @@ pub struct GridInfo {
     pub tsdfs: u64,
     /// Pairs of 3D grids.
     pub hybrid_grids: u64,
-    /// Cells, known or not (3D: stored cells of the fine grids).
+    /// Number of cells, known or unknown (3D: stored cells of the fine grids).
     pub cells: u64,
-    /// Edges of cells in metres and how many grids have them.
+    /// Numbers of grids by the edge of their cells, metres.
     pub resolutions: BTreeMap<String, u64>,
 }
 
-/// A box with sides along the axes, metres.
+/// An axis-aligned box, metres.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Extent {
     /// Smallest coordinates.
@@ -123,7 +123,7 @@ pub struct Extent {
 }
 
 impl Extent {
-    /// The box around what was there and a point.
+    /// The box extended by a point.
     fn with(extent: Option<Self>, point: &Vector3) -> Option<Self> {
         if !point.iter().all(|v| v.is_finite()) {
             return extent;
@@ -138,8 +138,8 @@ impl Extent {
     }
 }
 
-/// Reads the rest of a map and sums it up, as far as it is whole ([`MapInfo::damage`]). The pose graph is taken out of the reader: it would be the largest
-/// part of the memory that this needs.
+/// Reads the rest of a map and summarises it up to the first damage ([`MapInfo::damage`]). The pose graph is
+/// taken out of the reader, because it would take most of the memory.
 ///
 /// # Errors
 /// If the map cannot be read.

@@ -1,4 +1,4 @@
-//! A summary as the lines that other programs print (`tools.md §1.1`).
+//! Formats a summary as the lines that other programs print (`tools.md §1.1`).
 
 use crate::info::MapInfo;
 

@@ -1,4 +1,4 @@
-//! Textures of all submaps of a map file.
+//! Loads the textures of all submaps of a map file.
 
 use std::collections::BTreeSet;
 
@@ -14,22 +14,22 @@ use portolan_pbstream::proto::mapping::Submap;
 use portolan_pbstream::proto::mapping::serialized_data::Data;
 use portolan_pbstream::{IdInFile, submap_id, submap_poses};
 
-/// Submaps whose textures are made together: so many, or so many bytes of messages; bounds the decoded grids
-/// in memory.
+/// Maximum number of submaps, and of bytes of their messages, whose textures are rendered together. It bounds
+/// the decoded grids in memory.
 const BATCH: usize = 16;
 const BATCH_BYTES: usize = 32 << 20;
 
 /// The textures of a map.
 #[derive(Debug, Default)]
 pub struct MapTextures {
-    /// Ascending by id, as they are to be painted.
+    /// Ascending by id: the order for painting.
     pub textures: Vec<PlacedTexture>,
-    /// Submaps without a texture, and why.
+    /// Submaps without a texture, with the reason.
     pub skipped: Vec<(IdInFile, TextureError)>,
 }
 
-/// Reads the rest of a map and makes the texture of every submap. Submaps that cannot be shown are
-/// named in the result; the others follow (unlike in other programs, which stop painting there).
+/// Reads the rest of a map and renders the texture of every submap. Submaps that cannot be rendered are
+/// listed in the result and the others follow (other programs stop painting there).
 ///
 /// # Errors
 /// If the map cannot be read.
@@ -44,7 +44,7 @@ pub fn load_textures(reader: &mut MapReader) -> Result<MapTextures, PbstreamErro
     Ok(loaded)
 }
 
-/// [`load_textures`] with ids and poses from elsewhere; submaps without an id are left out.
+/// Like [`load_textures`], with ids and poses from `placement`; submaps without an id are left out.
 pub(crate) fn load_placed_textures(
     reader: &mut MapReader,
     placement: &(dyn Fn(IdInFile) -> Option<(IdInFile, Option<Rigid3>)> + Sync),
@@ -89,10 +89,10 @@ pub(crate) fn load_placed_textures(
     Ok(result)
 }
 
-/// The texture of a 2D or 3D submap; for 3D that of the fine grid, seen from above in the global map.
+/// The texture of a 2D or 3D submap; in 3D that of the fine grid, seen from above in the global map.
 ///
 /// # Errors
-/// As for [`texture_2d`] and [`texture_3d`], or if there is no submap in the message.
+/// As for [`texture_2d`] and [`texture_3d`], or if the message has no submap.
 pub fn submap_texture(
     submap: &Submap,
     map_from_submap: &Rigid3,

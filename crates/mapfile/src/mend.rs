@@ -1,4 +1,4 @@
-//! Repairs of single messages.
+//! Repairs single messages.
 
 use std::collections::BTreeMap;
 
@@ -11,16 +11,16 @@ use portolan_pbstream::proto::transform::{Quaterniond, Rigid3d};
 use portolan_pbstream::{GridReport, check_grid_2d, check_hybrid_grid, mend_grid_2d, mend_hybrid_grid};
 use portolan_pbstream::{is_rotation, pose_from_proto};
 
-/// Quaternions of a norm between this and its inverse are taken for rotations and normalised.
+/// Minimum norm of a quaternion that is normalised, its inverse being the maximum; dimensionless.
 const MIN_NORM: f64 = 0.5;
 
-/// What became of a message.
+/// Result of repairing a message.
 pub(crate) enum Mended {
-    /// It is good as it is.
+    /// The message is good.
     Unchanged,
-    /// It was changed.
+    /// The message was changed.
     Changed(Vec<Repair>),
-    /// It cannot be kept.
+    /// The message cannot be kept.
     Dropped(Repair),
 }
 
@@ -45,7 +45,7 @@ pub(crate) fn mend(data: &mut Data) -> Mended {
     }
 }
 
-/// Normalises a quaternion where that is all that is wrong; false where there is no pose to be had.
+/// Normalises the quaternion of a pose if that is its only fault. False if the pose cannot be repaired.
 pub(crate) fn mend_pose(pose: Option<&mut Rigid3d>, repairs: &mut Vec<Repair>) -> bool {
     let Some(pose) = pose else { return false };
     if pose_from_proto(Some(pose)).is_some() {
@@ -99,7 +99,7 @@ fn mend_submap(submap: &mut Submap, repairs: &mut Vec<Repair>) -> Option<Repair>
     (!good).then_some(Repair::SubmapDropped)
 }
 
-/// Mends cells if that is needed; false where the grid cannot be used.
+/// Repairs cells if needed; false if the grid cannot be used.
 fn mend_cells(report: &GridReport, repairs: &mut Vec<Repair>, mend: impl FnOnce()) -> bool {
     if report.broken.is_none() && !report.is_good() {
         mend();
@@ -164,14 +164,14 @@ fn mend_sensor_data(data: &mut Data, repairs: &mut Vec<Repair>) -> Option<Repair
     (!good).then_some(Repair::SensorDataDropped)
 }
 
-/// The times of sensor data must ascend in each stream.
+/// Checks that the times of sensor data ascend in each stream.
 #[derive(Default)]
 pub(crate) struct SensorTimes {
     last: BTreeMap<(i32, u32), i64>,
 }
 
 impl SensorTimes {
-    /// Whether the time of this message comes after all before it. Landmarks may come in any order.
+    /// Whether this message is later than all before it in its stream. Landmarks may come in any order.
     pub fn is_next(&mut self, data: &Data) -> bool {
         let (trajectory, stream, time) = match data {
             Data::ImuData(d) => (d.trajectory_id, 6, d.imu_data.as_ref().map(|d| d.timestamp)),
@@ -199,7 +199,7 @@ impl SensorTimes {
     }
 }
 
-/// The trajectory that sensor data or trajectory data belong to.
+/// Trajectory of sensor data or trajectory data.
 pub(crate) fn trajectory_of(data: &Data) -> Option<i32> {
     match data {
         Data::TrajectoryData(mapping::TrajectoryData { trajectory_id, .. })

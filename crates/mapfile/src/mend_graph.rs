@@ -1,4 +1,4 @@
-//! Repairs of the pose graph: what remains of it must be whole.
+//! Repairs the pose graph, so that the rest of it is consistent.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,18 +10,17 @@ use portolan_pbstream::proto::transform::Rigid3d;
 use portolan_pbstream::{IdInFile, node_id, submap_id};
 use portolan_pbstream::{bad_starts, start_of};
 
-/// What whole messages were found of nodes and submaps.
+/// Nodes and submaps with intact messages.
 #[derive(Default)]
 pub(crate) struct Parts {
-    /// Time and pose in the local map.
+    /// Time, ticks, and pose in the local map.
     pub nodes: BTreeMap<IdInFile, (i64, Option<Rigid3d>)>,
     /// Pose in the local map.
     pub submaps: BTreeMap<IdInFile, Option<Rigid3d>>,
 }
 
 impl Parts {
-    /// A pose graph made from what the local maps say: without loop closures, each trajectory in its own
-    /// local map.
+    /// A pose graph from the local poses: without loop closures, each trajectory in its own local map.
     pub fn pose_graph(&self) -> PoseGraph {
         let ids = self.submaps.keys().chain(self.nodes.keys()).map(|(t, _)| *t);
         let ids: BTreeSet<i32> = ids.collect();
@@ -46,8 +45,8 @@ impl Parts {
     }
 }
 
-/// Leaves out of the pose graph what is double, has no valid pose, no whole message, or hangs on such.
-/// Options are kept beside their trajectories; missing ones become empty.
+/// Removes from the pose graph all parts that occur twice, have no valid pose or no intact message, and the
+/// constraints to them. Options stay with their trajectories; missing ones become empty.
 pub(crate) fn mend_pose_graph(
     graph: &mut PoseGraph,
     options: &mut AllTrajectoryBuilderOptions,
@@ -95,7 +94,7 @@ pub(crate) fn mend_pose_graph(
     });
 }
 
-/// Takes back starts that are relative to what is not there, or in a circle.
+/// Removes starts that are relative to a missing trajectory or that form a cycle.
 fn mend_starts(graph: &PoseGraph, options: &mut AllTrajectoryBuilderOptions, repairs: &mut Vec<Repair>) {
     let ids: Vec<i32> = graph.trajectory.iter().map(|t| t.trajectory_id).collect();
     let starts: Vec<Option<i32>> = options.options_with_sensor_ids.iter().map(start_of).collect();

@@ -1,8 +1,8 @@
-//! From format version 1 to 2 (`formats.md §2.3`).
+//! Migrates maps from format version 1 to 2 (`formats.md §2.3`).
 //!
-//! Version 2 added to 3D submaps the histogram that rotational matching needs; here it is summed up from
-//! the histograms of the nodes in them. Unlike Cartographer this also takes 2D maps, where the
-//! versions differ only in the header.
+//! Version 2 added to 3D submaps the histogram for rotational matching. It is computed here as the sum of the
+//! histograms of their nodes. Unlike Cartographer, this also migrates 2D maps, where the versions differ only
+//! in the header.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -27,12 +27,12 @@ use portolan_pbstream::{PbstreamReader, ReadLimits, must_be_a_file};
 
 use crate::written::damage_of;
 
-/// How to migrate.
+/// Options of a migration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MigrateOptions {
-    /// Whether submaps that are not finished are kept.
+    /// Whether unfinished submaps are kept.
     pub include_unfinished_submaps: bool,
-    /// Bounds of reading.
+    /// Limits of reading.
     pub limits: ReadLimits,
 }
 
@@ -42,18 +42,18 @@ impl Default for MigrateOptions {
     }
 }
 
-/// What was done.
+/// Report of a migration.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct MigrateReport {
     /// Version of the input.
     pub from_version: u32,
     /// Submaps that got a histogram.
     pub histograms: u64,
-    /// Submaps left out because they are not finished.
+    /// Submaps left out because they are unfinished.
     pub unfinished_submaps: u64,
     /// Messages written.
     pub messages: u64,
-    /// What is wrong with what was written, because it was wrong with its source.
+    /// Errors of the written map, taken over from the source file.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub damage: Vec<Finding>,
 }
@@ -64,12 +64,12 @@ pub enum MigrateError {
     /// Reading or writing failed.
     #[error(transparent)]
     File(#[from] PbstreamError),
-    /// Trajectory ids must be 0, 1, 2, … in this order.
+    /// Trajectory ids are not 0, 1, 2, … in this order.
     #[error("trajectory number {index} of the map has the id {id}; `repair` or `edit` the map first")]
     TrajectoryId {
-        /// Place in the file.
+        /// Index in the file.
         index: usize,
-        /// The id there.
+        /// Id at this index.
         id: i32,
     },
     /// 2D and 3D submaps in one map.
@@ -116,19 +116,19 @@ pub fn migrate(input: &Path, output: &Path, options: MigrateOptions) -> Result<M
     Ok(report)
 }
 
-/// What is to be done, known after reading the map once.
+/// Changes to make, collected in a first pass over the map.
 struct Plan {
     from_version: u32,
-    /// Portolan's own configuration, which older files have in the header; empty where it is not there.
+    /// Portolan's own configuration, which older files have in the header; empty if there is none.
     configuration: String,
     histograms: BTreeMap<IdInFile, Vec<f32>>,
     unfinished: BTreeSet<IdInFile>,
 }
 
-/// What is needed of a node.
+/// Data of a node for the histograms of its submaps.
 struct NodeTurn {
     histogram: Vec<f32>,
-    /// Gravity-aligned frame of the node in the local map.
+    /// Rotation of the node's gravity-aligned frame in the local map.
     local_from_gravity_aligned: Quaternion,
 }
 
@@ -200,7 +200,8 @@ impl Plan {
         Ok(Self { from_version, configuration, histograms, unfinished })
     }
 
-    /// The options with the configuration that stood in the header: a message appended to a message is merged.
+    /// The options with the configuration from the header. A protobuf message appended to another one is
+    /// merged into it.
     fn options(&self, raw: RawMessage) -> Vec<u8> {
         let mut bytes = raw.bytes;
         if !self.configuration.is_empty() {
@@ -231,8 +232,8 @@ impl Plan {
             submap.rotational_scan_matcher_histogram.clone_from(histogram);
             return Some(message.encode_to_vec());
         }
-        // There are fields that are not known here. A message appended to a message is merged into it,
-        // so that they survive.
+        // The message has unknown fields. A protobuf message appended to another one is merged into it, so
+        // that they survive.
         let addition =
             Submap3D { rotational_scan_matcher_histogram: histogram.clone(), ..Submap3D::default() };
         let addition = Submap { submap_3d: Some(addition), ..Submap::default() };
@@ -247,7 +248,7 @@ fn rotation(q: Option<Quaterniond>) -> Option<Quaternion> {
     pose_from_proto(Some(&pose)).map(|p| p.rotation)
 }
 
-/// The pose graph without some submaps and the constraints to them.
+/// The pose graph without some submaps and their constraints.
 fn without_submaps(raw: RawMessage, left_out: &BTreeSet<IdInFile>) -> Vec<u8> {
     let Ok(Some(Data::PoseGraph(mut graph))) = decode_data(&raw.bytes) else {
         return raw.bytes;
@@ -260,7 +261,7 @@ fn without_submaps(raw: RawMessage, left_out: &BTreeSet<IdInFile>) -> Vec<u8> {
     SerializedData { data: Some(Data::PoseGraph(graph)) }.encode_to_vec()
 }
 
-/// For each submap the sum of the histograms of the nodes in it, each turned into the submap.
+/// For each submap the sum of the histograms of its nodes, each rotated into the submap frame.
 fn sum_histograms(
     graph: &PoseGraph,
     submaps: &BTreeMap<IdInFile, Quaternion>,

@@ -1,11 +1,11 @@
-//! Textures packed while nobody looks at them: a map of a thousand submaps has gigabytes of pixels, most
-//! of them unknown or like their neighbours.
+//! Compresses textures that are not being displayed: a map of a thousand submaps has gigabytes of pixels,
+//! most of them unknown or equal to their neighbours.
 
 use portolan_geometry::Rigid3;
 
 use crate::texture::SubmapTexture;
 
-/// A [`SubmapTexture`] in some tenths of its memory.
+/// A [`SubmapTexture`] compressed to a few tenths of its memory.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PackedTexture {
     /// Number of columns; the column grows along −y of the slice.
@@ -14,7 +14,7 @@ pub struct PackedTexture {
     pub height: usize,
     /// Edge of a pixel in metres.
     pub resolution: f64,
-    /// The corner of the first pixel in the submap frame.
+    /// Pose in the submap frame of the corner of the first pixel.
     pub submap_from_slice: Rigid3,
     /// LZ4 of `(value, alpha)` row by row.
     packed: Vec<u8>,
@@ -24,17 +24,17 @@ pub struct PackedTexture {
 }
 
 impl PackedTexture {
-    /// How many pixels there are; `width` times `height` of them if the texture is whole.
+    /// Number of pixels: `width` times `height` if the texture is intact.
     pub fn pixel_count(&self) -> usize {
         self.count
     }
 
-    /// How many pixels are known.
+    /// Number of known pixels.
     pub fn known_count(&self) -> usize {
         self.known
     }
 
-    /// How many pixels have a value above 0: seen to be free.
+    /// Number of pixels with a value above 0: free space.
     pub fn free_count(&self) -> usize {
         self.free
     }
@@ -42,7 +42,8 @@ impl PackedTexture {
     /// `(value, alpha)` row by row; `(0, 0)` is unknown.
     pub fn pixels(&self) -> Vec<[u8; 2]> {
         let mut pixels = vec![[0; 2]; self.count];
-        // It was packed here, so there is no error; if there were one, what is not there is unknown.
+        // Compressed by this type, so decompression does not fail. If it did, the remaining pixels would be
+        // unknown.
         let _ = lz4_flex::block::decompress_into(&self.packed, pixels.as_flattened_mut());
         pixels
     }

@@ -1,6 +1,6 @@
-//! Painting submaps into one picture of the map (`formats.md §8`).
+//! Paints submaps into one image of the map (`formats.md §8`).
 //!
-//! Works on plain inputs, so that submaps of a file and submaps that are just being built can be
+//! The inputs are plain textures, so that submaps of a file and submaps that are still being built are
 //! painted alike.
 
 use portolan_geometry::{NearFrame, Rigid3};
@@ -10,22 +10,22 @@ use crate::packed_texture::PackedTexture;
 use crate::resample::{Affine, Sample, Sampler, add_evidence, apply, over};
 use portolan_pbstream::IdInFile;
 
-/// Free margin around the submaps, pixels.
+/// Margin around the submaps, pixels.
 const PADDING: f32 = 5.0;
-/// Rows that are painted together by one thread.
+/// Number of rows that one thread paints as a unit.
 const BAND: usize = 32;
-/// Textures that are unpacked together have at most this many pixels, unless one alone has more.
+/// Maximum number of pixels of the textures that are unpacked at a time, unless a single one has more.
 const GROUP_PIXELS: usize = 16 << 20;
 
-/// A texture and where it lies.
+/// A texture and the pose of its submap.
 #[derive(Clone, Debug)]
 pub struct PlacedTexture {
-    /// `(trajectory id, index)` of the submap; textures are painted in the order they are given, which
-    /// should be ascending.
+    /// `(trajectory id, index)` of the submap. Textures are painted in the order given, which should be
+    /// ascending.
     pub id: IdInFile,
     /// Pose of the submap in the global map.
     pub map_from_submap: Rigid3,
-    /// What it looks like.
+    /// Texture of the submap.
     pub texture: PackedTexture,
 }
 
@@ -42,14 +42,14 @@ pub struct MapArea {
     pub max_y: f64,
 }
 
-/// How to paint.
+/// Options of painting.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PaintOptions {
     /// Edge of a pixel in metres.
     pub resolution: f64,
-    /// Only this part of the map; otherwise everything with a margin of 5 pixels.
+    /// The area to paint; if none, all submaps with a margin of 5 pixels.
     pub crop: Option<MapArea>,
-    /// Pictures of more pixels are refused. Painting takes two bytes for each.
+    /// Maximum number of pixels of an image; larger ones are refused. Painting takes two bytes for each.
     pub max_pixels: u64,
 }
 
@@ -65,19 +65,19 @@ pub enum PaintError {
     /// There is no submap with a grid.
     #[error("there is nothing to paint: no submap has a grid")]
     Nothing,
-    /// The resolution must be positive and finite.
+    /// The resolution is not positive and finite.
     #[error("the resolution must be a positive number of metres, not {0}")]
     Resolution(f64),
     /// The rectangle to crop to is empty or not finite.
     #[error("the area to paint is empty or not finite")]
     Crop,
-    /// A texture lies nowhere.
+    /// A texture has no finite pose.
     #[error("submap ({}, {}) has no finite pose", .0.0, .0.1)]
     Pose(IdInFile),
-    /// A texture does not have the pixels it should have.
+    /// A texture does not have width times height pixels.
     #[error("the texture of submap ({}, {}) does not have width times height pixels", .0.0, .0.1)]
     Texture(IdInFile),
-    /// The picture would be too large.
+    /// The image would be too large.
     #[error(
         "the picture would have {width} x {height} pixels, more than the limit of {limit}; take a \
          resolution of {enough:.3} m or crop"
@@ -87,9 +87,9 @@ pub enum PaintError {
         width: f64,
         /// Rows.
         height: f64,
-        /// Most pixels allowed.
+        /// Maximum number of pixels.
         limit: u64,
-        /// A resolution that is coarse enough.
+        /// A resolution that is coarse enough, metres.
         enough: f64,
     },
 }
@@ -103,10 +103,10 @@ pub struct PaintedMap {
     pub height: usize,
     /// Edge of a pixel in metres.
     pub resolution: f64,
-    /// Where the origin of the map frame lies in the picture: pixels from the left and from the top.
+    /// Origin of the map frame in the image: pixels from the left and from the top.
     pub origin: [f64; 2],
-    /// `(grey, known)` for each pixel. Grey runs from 0 (occupied) over 128 (not known) to 255 (free);
-    /// known is 0 where no submap has seen anything.
+    /// `(grey, known)` for each pixel. Grey is from 0 (occupied) over 128 (unknown) to 255 (free). Known is 0
+    /// where no submap has observed cells.
     pub pixels: Vec<[u8; 2]>,
 }
 
@@ -116,19 +116,18 @@ impl PaintedMap {
         self.pixels.iter().map(|p| p[0])
     }
 
-    /// Occupancy in percent, −1 where not known; rows from the bottom (smallest y), as in
-    /// `nav_msgs/OccupancyGrid`.
+    /// Occupancy in percent, −1 for unknown; rows from the bottom (smallest y), as in `nav_msgs/OccupancyGrid`.
     pub fn occupancy(&self) -> Vec<i8> {
         let rows = self.pixels.chunks(self.width.max(1)).rev();
         rows.flatten().map(|pixel| occupancy(*pixel)).collect()
     }
 
-    /// Position in the map frame, metres, of the lower left corner of the picture.
+    /// Position of the lower left corner of the image in the map frame, metres.
     pub fn lower_left(&self) -> [f64; 2] {
         [-self.origin[0] * self.resolution, (self.origin[1] - self.height as f64) * self.resolution]
     }
 
-    /// Pixels from the left and from the top of a position in the map frame.
+    /// Position in the image, pixels from the left and from the top, of a position in the map frame.
     pub fn pixel_from_map(&self, position: [f64; 2]) -> [f64; 2] {
         [position[0] / self.resolution + self.origin[0], self.origin[1] - position[1] / self.resolution]
     }
@@ -141,7 +140,7 @@ fn occupancy([grey, known]: [u8; 2]) -> i8 {
     ((1.0 - f64::from(grey) / 255.0) * 100.0).round() as i8
 }
 
-/// The evidence of all submaps, row by row from the top (largest y).
+/// Evidence summed over all submaps, row by row from the top (largest y).
 #[derive(Clone, Debug, PartialEq)]
 pub struct EvidenceMap {
     /// Columns.
@@ -150,15 +149,15 @@ pub struct EvidenceMap {
     pub height: usize,
     /// Edge of a pixel in metres.
     pub resolution: f64,
-    /// Where the origin of the map frame lies in the picture: pixels from the left and from the top.
+    /// Origin of the map frame in the image: pixels from the left and from the top.
     pub origin: [f64; 2],
-    /// Sums of log odds: above 0 free, below occupied, 0 not known. One submap gives −127 (probability
-    /// 0.9) to 63 (0.1, counted half).
+    /// Sums of log odds: positive is free, negative is occupied, 0 is unknown. One submap contributes from
+    /// −127 (probability 0.9) to 63 (probability 0.1, at half weight).
     pub evidence: Vec<i16>,
 }
 
 impl EvidenceMap {
-    /// The map in grey, linear in log odds: 0 where the probability is 0.9 or more, 255 where it is 0.1 or less.
+    /// The map in grey, linear in log odds: 0 for probabilities of 0.9 or more, 255 for 0.1 or less.
     pub fn painted(&self) -> PaintedMap {
         let pixel = |evidence: &i16| {
             let value = if *evidence > 0 { evidence.saturating_mul(2) } else { *evidence };
@@ -175,22 +174,22 @@ impl EvidenceMap {
     }
 }
 
-/// Paints textures one over the other, in the order given, the same for any number of threads.
+/// Paints textures one over the other, in the order given. The result does not depend on the number of threads.
 ///
-/// Textures that are seen exactly from the side (a submap tilted by a quarter turn) have no area and
-/// leave nothing.
+/// A texture seen exactly from the side (of a submap tilted by 90°) has no area and is not painted.
 ///
 /// # Errors
-/// If there is nothing to paint, the picture would be too large, or an option or a texture is not valid.
+/// If there is nothing to paint, the image would be too large, or an option or a texture is not valid.
 pub fn paint(textures: &[PlacedTexture], options: &PaintOptions) -> Result<PaintedMap, PaintError> {
     let (layout, pixels) = blend_all(textures, options, [128, 0], over)?;
     let Layout { width, height, origin } = layout;
     Ok(PaintedMap { width, height, resolution: options.resolution, origin, pixels })
 }
 
-/// Adds up what all submaps say about each place, in the manner of a Bayesian filter. Where submaps
-/// disagree a painted map shows the last one and no certainty, and free space seen from afar by many wipes out walls that few saw
-/// from nearby; this shows what most of the evidence is for.
+/// Adds up the evidence of all submaps at each pixel, as a Bayesian filter does. Where submaps disagree, a
+/// map of [`paint`] shows the last one without a measure of certainty, and free space that many submaps
+/// observed from afar erases walls that few observed from nearby. The sum shows the state that most evidence
+/// supports.
 ///
 /// # Errors
 /// As for [`paint`].
@@ -200,7 +199,7 @@ pub fn sum_evidence(textures: &[PlacedTexture], options: &PaintOptions) -> Resul
     Ok(EvidenceMap { width, height, resolution: options.resolution, origin, evidence })
 }
 
-/// Size of a picture and position of the map's origin in it.
+/// Size of an image and position of the map's origin in it.
 struct Layout {
     width: usize,
     height: usize,
@@ -217,7 +216,7 @@ fn blend_all<P: Copy + Send>(
     if !resolution.is_finite() || resolution <= 0.0 {
         return Err(PaintError::Resolution(resolution));
     }
-    // Single precision has no pixels far from the origin.
+    // Far from the origin single precision does not resolve pixels: work in a near frame.
     let frame = NearFrame::around(textures.iter().map(|t| t.map_from_submap.translation.vector));
     let slices = textures.iter().map(|t| Slice::new(t, &frame, resolution)).collect::<Result<Vec<_>, _>>()?;
     let off = [frame.origin().x / resolution, -frame.origin().y / resolution];
@@ -244,7 +243,7 @@ fn blend_all<P: Copy + Send>(
     Ok((Layout { width, height, origin }, pixels))
 }
 
-/// The slices that are painted next, and those after them.
+/// The slices that are painted next, and the rest.
 fn first_group<'a, 'b>(slices: &'b [Slice<'a>]) -> Option<(&'b [Slice<'a>], &'b [Slice<'a>])> {
     let mut sum = 0_usize;
     let fitting = slices.iter().take_while(|s| {
@@ -274,10 +273,11 @@ fn blend_group<P: Copy + Send>(
     });
 }
 
-/// A texture in the near frame with the affine map from its pixels to the picture, before the shift by the origin.
+/// A texture in the near frame, with the affine map from its pixels to the image before the shift by the
+/// origin.
 struct Slice<'a> {
     texture: &'a PackedTexture,
-    /// Columns: per texture column, per texture row, offset.
+    /// Columns of the affine map: per texture column, per texture row, offset.
     picture_from_texture: Affine,
 }
 
@@ -304,7 +304,7 @@ impl<'a> Slice<'a> {
             .map(|(x, y)| apply(self.picture_from_texture, x, y).map(|v| v as f32))
     }
 
-    /// Whether it can leave anything in a picture of this size: the filter reaches less than a texture pixel
+    /// Whether it can paint any pixel of an image of this size. The filter reaches less than a texture pixel
     /// beyond the corners.
     fn reaches(&self, size: [f64; 2], origin: [f64; 2]) -> bool {
         let [[ax, ay], [bx, by], _] = self.picture_from_texture;
@@ -317,7 +317,7 @@ impl<'a> Slice<'a> {
         })
     }
 
-    /// `pixels` are those of its texture.
+    /// `pixels` are the unpacked pixels of its texture.
     fn sampler<'p>(&self, pixels: &'p [[u8; 2]], origin: [f64; 2]) -> Option<Sampler<'p>> {
         let [a, b, [x, y]] = self.picture_from_texture;
         let (width, height) = (self.texture.width, self.texture.height);
@@ -327,7 +327,7 @@ impl<'a> Slice<'a> {
 
 type SizeAndOrigin = ([f64; 2], [f64; 2]);
 
-/// Size of the picture and position of the map's origin in it, in single precision as the format has it.
+/// Size of the image and position of the map's origin in it, in single precision as in the format.
 fn bounds(slices: &[Slice]) -> Option<SizeAndOrigin> {
     let mut corners = slices.iter().flat_map(Slice::corners);
     let first = corners.next()?;

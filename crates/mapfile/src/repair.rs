@@ -1,4 +1,4 @@
-//! Saving what is whole of a damaged map.
+//! Repairs a damaged map: saves all messages that are intact.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -29,59 +29,60 @@ use portolan_pbstream::{Message, RawMessage};
 pub enum Repair {
     /// Records, or bytes between records, that could not be read.
     DamagedRecords,
-    /// The header was missing or damaged; one was made.
+    /// The header was missing or damaged; a new one was written.
     HeaderMade,
-    /// The pose graph was lost: one was made from the local maps. Loop closures and constraints are gone.
+    /// The pose graph was lost; a new one was built from the local poses. Loop closures and constraints are
+    /// lost.
     PoseGraphMade,
-    /// Options were missing for some trajectories; empty ones were made.
+    /// Options were missing for some trajectories; they have empty options now.
     OptionsMade,
-    /// The start of a trajectory relative to one that is not there, or in a circle.
+    /// The start of a trajectory that was relative to a missing trajectory or, in a cycle, to itself.
     StartDropped,
-    /// A message that cannot be decoded or is there for a second time.
+    /// A message that cannot be decoded or occurs a second time.
     MessageDropped,
-    /// A trajectory that was there twice.
+    /// A trajectory that occurs a second time.
     TrajectoryDropped,
-    /// A submap whose grid or pose cannot be used, or that the pose graph does not know.
+    /// A submap whose grid or pose cannot be used, or that is missing in the pose graph.
     SubmapDropped,
-    /// A node whose content cannot be used, or that the pose graph does not know.
+    /// A node whose content cannot be used, or that is missing in the pose graph.
     NodeDropped,
-    /// A pose in the pose graph whose submap is not there, or that is not valid.
+    /// A pose in the pose graph that is not valid or whose submap is missing.
     SubmapPoseDropped,
-    /// A pose in the pose graph whose node is not there, that is not valid or not in order of time.
+    /// A pose in the pose graph that is not valid, not in order of time, or whose node is missing.
     NodePoseDropped,
-    /// A constraint to something that is not there, or not valid.
+    /// A constraint that is not valid or refers to a missing submap or node.
     ConstraintDropped,
     /// A landmark without a valid pose.
     LandmarkDropped,
-    /// Sensor data that are not valid, belong to no trajectory or come too late.
+    /// Sensor data that are not valid, belong to no trajectory or are not in order of time.
     SensorDataDropped,
     /// A point cloud that cannot be unpacked; the node is kept without it.
     PointCloudDropped,
     /// A histogram that is not finite; the node or submap is kept without it.
     HistogramDropped,
-    /// Cells with impossible values became unknown.
+    /// Cells with impossible values were set to unknown.
     CellsMended,
-    /// A rotation was made one again.
+    /// A quaternion was normalised.
     QuaternionNormalised,
-    /// IMU samples that agree with the poses were put in where a 3D trajectory had none.
+    /// IMU samples derived from the poses were added to a 3D trajectory where it had none.
     ImuDerived,
 }
 
 impl Repair {
-    /// Whether data are lost by it.
+    /// Whether this repair loses data.
     pub fn loses_data(self) -> bool {
         !matches!(self, Self::HeaderMade | Self::QuaternionNormalised | Self::ImuDerived)
     }
 }
 
-/// What was done to a map.
+/// Report of a repaired map.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct RepairReport {
     /// Messages written.
     pub messages: u64,
     /// Bytes of the input that could not be used.
     pub lost_bytes: u64,
-    /// How often what was done; empty if the map was good.
+    /// Number of repairs by kind; empty if the map was good.
     pub repairs: BTreeMap<Repair, u64>,
 }
 
@@ -90,7 +91,7 @@ impl RepairReport {
         *self.repairs.entry(repair).or_default() += 1;
     }
 
-    /// Whether anything was lost.
+    /// Whether any repair lost data.
     pub fn loses_data(&self) -> bool {
         self.repairs.keys().any(|r| r.loses_data())
     }
@@ -102,10 +103,10 @@ pub enum RepairError {
     /// The input could not be read.
     #[error("cannot read the map: {0}")]
     Read(#[from] io::Error),
-    /// Nothing of a map is in the file.
+    /// The file has no part of a map.
     #[error("there is no whole submap and no whole node in the file: nothing can be saved")]
     Nothing,
-    /// The file is something else.
+    /// The file is of another kind.
     #[error("this is {0}: nothing can be saved")]
     OtherKind(&'static str),
     /// The output could not be written.
@@ -113,14 +114,15 @@ pub enum RepairError {
     Write(#[from] PbstreamError),
 }
 
-/// Writes to `output` what is whole of `input`: a map in which every id is found, every pose is valid
-/// and every size is true. Messages that are good are copied byte for byte.
+/// Writes all intact parts of `input` to `output`: a map in which every id refers to an existing part, every
+/// pose is valid and every stated size is correct. Good messages are copied byte for byte.
 ///
 /// The input is read twice; memory grows with the pose graph, not with grids or point clouds. Input and
 /// output may be the same file.
 ///
 /// # Errors
-/// If the input cannot be read, is something else than a map or has no whole node and submap, or if the output cannot be written.
+/// If the input cannot be read, is not a map or has no intact node or submap, or if the output cannot be
+/// written.
 pub fn repair(input: &Path, output: &Path, limits: ReadLimits) -> Result<RepairReport, RepairError> {
     let mut report = RepairReport::default();
     let survey = Survey::take(input, limits, &mut report)?;
@@ -145,14 +147,14 @@ pub fn repair(input: &Path, output: &Path, limits: ReadLimits) -> Result<RepairR
     Ok(report)
 }
 
-/// What a file is in which nothing of a map was found, if that is known.
+/// Kind of a file without any part of a map, if it can be identified.
 fn other_kind(input: &Path) -> Option<&'static str> {
     let mut start = Vec::new();
     File::open(input).ok()?.take(64).read_to_end(&mut start).ok()?;
     portolan_input::kind_of(&start).filter(|_| !start.starts_with(&MAGIC))
 }
 
-/// What a damaged file has to offer.
+/// Parts of a map found in a damaged file.
 #[derive(Default)]
 struct Survey {
     header: Option<SerializationHeader>,
@@ -234,7 +236,7 @@ impl Survey {
         let mut repairs = Vec::new();
         mend_pose_graph(&mut graph, &mut options, &self.parts, &mut repairs);
         repairs.into_iter().for_each(|r| report.add(r));
-        // What needs no repair stays as it is, unknown fields included.
+        // A message that needs no repair keeps its bytes, including unknown fields.
         let unless_same = |same: bool, bytes: Vec<u8>, data: Data| {
             if same && !bytes.is_empty() { bytes } else { encode(data) }
         };
@@ -247,13 +249,13 @@ impl Survey {
     }
 }
 
-/// The messages after the first three.
+/// State while copying the messages after the first three.
 struct Rest {
     trajectories: BTreeSet<i32>,
     nodes: BTreeSet<IdInFile>,
     submaps: BTreeSet<IdInFile>,
     times: SensorTimes,
-    /// 3D: samples where no IMU measured, by trajectory, and those that belong before the message at hand.
+    /// 3D: derived IMU samples by trajectory, and those that are written before the current message.
     derived: BTreeMap<i32, DerivedImu>,
     derived_before: Vec<Data>,
     has_graph: bool,
@@ -280,7 +282,7 @@ impl Rest {
         }
     }
 
-    /// What to write of a message.
+    /// Bytes to write for a message; none if it is dropped.
     fn message(&mut self, raw: RawMessage, report: &mut RepairReport) -> Option<Vec<u8>> {
         if header(&raw).is_some() {
             if std::mem::replace(&mut self.has_header, true) {
@@ -289,7 +291,7 @@ impl Rest {
             return None;
         }
         let Some(mut data) = decode(&raw) else {
-            // An unknown kind survives; what is no message at all does not.
+            // A message of an unknown kind is kept; bytes that are not a message are dropped.
             if matches!(numbered(&raw).decode(), Ok(Message::Unknown(_))) {
                 return Some(raw.bytes);
             }
@@ -325,7 +327,7 @@ impl Rest {
                 }
                 return false;
             }
-            // Taken out, so that a second one of the same id is dropped.
+            // Removed from the set, so that a second one of the same id is dropped.
             Data::Submap(s) => {
                 (!self.submaps.remove(&submap_id(s.submap_id.as_ref()))).then_some(Repair::SubmapDropped)
             }
@@ -363,7 +365,7 @@ impl Rest {
         }
     }
 
-    /// Samples after everything that was measured.
+    /// Derived samples after the last measured one.
     fn derived_at_end(&mut self, report: &mut RepairReport) -> Vec<Data> {
         let rest: Vec<Data> =
             self.derived.values_mut().flat_map(DerivedImu::rest).map(Data::ImuData).collect();
@@ -382,7 +384,7 @@ fn header(raw: &RawMessage) -> Option<SerializationHeader> {
     (matches!(header.format_version, 1 | 2) && header.encoded_len() == raw.bytes.len()).then_some(header)
 }
 
-/// As any message but the header.
+/// The message with an index after that of the header, so that it is not decoded as a header.
 fn numbered(raw: &RawMessage) -> RawMessage {
     RawMessage { index: raw.index.max(1), ..raw.clone() }
 }

@@ -1,26 +1,26 @@
-//! A texture seen through an affine map: bilinear sampling, averaged where the picture is coarser.
+//! Resamples a texture through an affine map: bilinear, averaged where the image is coarser than the texture.
 
-/// Weights of the bilinear filter have this many bits, as in usual 8-bit image libraries.
+/// Number of bits of the weights of the bilinear filter, as in usual 8-bit image libraries.
 const WEIGHT_BITS: u32 = 7;
-/// Positions in the texture are whole numbers of this fraction of a pixel.
+/// Number of fractional bits of fixed-point positions in the texture, pixels.
 const POSITION_BITS: u32 = 32;
-/// Positions are rounded to 2⁻¹⁶ before weights are cut off, so that a texture that lies on the pixels of the
-/// picture, but for rounding, is copied.
+/// Rounds positions to 2⁻¹⁶ pixels before the weights are truncated. A texture whose pixels coincide with
+/// those of the image up to rounding errors is thus copied exactly.
 const ROUND_POSITION: i64 = 1 << (POSITION_BITS - 17);
-/// A picture up to this much coarser than the texture is sampled once per pixel.
+/// Maximum ratio of the pixel edge of the image to that of the texture at which each pixel is sampled once.
 const MAX_SCALE_WITHOUT_AVERAGE: f64 = 1.0 / 0.75;
-/// Most samples along an edge of one pixel.
+/// Maximum number of samples along each edge of a pixel.
 const MAX_SAMPLES: usize = 16;
-/// Textures are cut off beyond what positions can count.
+/// Maximum edge of a texture, pixels: larger ones exceed the range of positions and are not painted.
 const MAX_EDGE: usize = 1 << 29;
 
-/// A colour with 8 bits for each part, premultiplied: grey, known, alpha.
+/// A colour of 8 bits per channel, premultiplied: grey, known, alpha.
 pub type Sample = [u32; 3];
 
 /// An affine map of the plane: columns for x, y, offset.
 pub type Affine = [[f64; 2]; 3];
 
-/// Where an affine map takes a point.
+/// Applies an affine map to a point.
 #[inline]
 pub fn apply([[ax, ay], [bx, by], [cx, cy]]: Affine, x: f64, y: f64) -> [f64; 2] {
     [ax * x + bx * y + cx, ay * x + by * y + cy]
@@ -31,17 +31,17 @@ pub struct Sampler<'a> {
     pixels: &'a [[u8; 2]],
     width: usize,
     height: usize,
-    /// Texture position (column, row) of picture position (x, y).
+    /// From a position (x, y) in the image to one (column, row) in the texture.
     texture_from_picture: Affine,
-    /// Picture rows and columns that the texture can reach: `[first, end)`.
+    /// Range of image rows that the texture can reach: `[first, end)`.
     rows: [f64; 2],
     /// Samples along each edge of a pixel.
     samples: usize,
 }
 
 impl<'a> Sampler<'a> {
-    /// `picture_from_texture` holds the columns of the affine map for texture column, texture row and the
-    /// offset. None where the texture has no area in the picture.
+    /// `picture_from_texture` has the columns of the affine map for texture column, texture row and offset.
+    /// None if the texture has no area in the image.
     pub fn new(
         pixels: &'a [[u8; 2]],
         width: usize,
@@ -76,7 +76,7 @@ impl<'a> Sampler<'a> {
         Some(Self { pixels, width, height, texture_from_picture, rows, samples })
     }
 
-    /// Brings the texture into row `y` of the picture; `blend` brings one sample into one pixel.
+    /// Paints the texture into row `y` of the image; `blend` blends one sample into one pixel.
     pub fn paint_row<P>(&self, y: usize, row: &mut [P], blend: impl Fn(&mut P, Sample)) {
         if (y as f64) + 1.0 < self.rows[0] || (y as f64) > self.rows[1] {
             return;
@@ -100,13 +100,13 @@ impl<'a> Sampler<'a> {
         }
     }
 
-    /// The picture columns of row `y` that the texture can reach: `[first, end)`.
+    /// Range of columns of row `y` that the texture can reach: `[first, end)`.
     fn columns(&self, y: f64, length: usize) -> Option<(usize, usize)> {
         let [[ux, uy], [vx, vy], [ox, oy]] = self.texture_from_picture;
         let (width, height) = (self.width as f64, self.height as f64);
         let (mut low, mut high) = (0.0_f64, length as f64);
         for (u, v, o, size) in [(ux, vx, ox, width), (uy, vy, oy, height)] {
-            // All y within the row; -1 and size + 1 bound what the filter reaches.
+            // For all y within the row; -1 and size + 1 are the limits of the filter.
             let at = [v * y + o, v * (y + 1.0) + o];
             let (least, most) = (at[0].min(at[1]), at[0].max(at[1]));
             if u.abs() * length as f64 <= 1e-6 {
@@ -125,8 +125,8 @@ impl<'a> Sampler<'a> {
         (low < high).then(|| (low.floor().max(0.0) as usize, (high.ceil() as usize).min(length)))
     }
 
-    /// Fixed-point texture position of a picture position, moved by half a pixel to where the four
-    /// neighbours are the whole numbers around it.
+    /// Fixed-point texture position of an image position, shifted by half a pixel, so that the four
+    /// neighbours are at the integers around it.
     fn position(&self, x: f64, y: f64) -> [i64; 2] {
         apply(self.texture_from_picture, x, y).map(|v| fixed(v - 0.5))
     }
@@ -154,8 +154,8 @@ impl<'a> Sampler<'a> {
         sum.map(|s| (s + count / 2) / count)
     }
 
-    /// Outside of the texture everything is transparent. `cell` is what the sample before lay between: pictures that
-    /// magnify a texture have many samples between the same pixels.
+    /// Bilinear sample; outside of the texture all is transparent. `cell` caches the four neighbours of the
+    /// previous sample: images that magnify a texture have many samples between the same pixels.
     #[inline]
     fn bilinear(&self, position: [i64; 2], cell: &mut Cell) -> Sample {
         let [x, y] = position.map(|v| v.saturating_add(ROUND_POSITION));
@@ -183,7 +183,7 @@ impl<'a> Sampler<'a> {
         sum.map(|s| s >> 16)
     }
 
-    /// The pixels at a column and a row, right of it, below it, and right below it.
+    /// The pixel at a column and row, and those right of it, below it, and right below it.
     #[inline]
     fn neighbours(&self, column: i64, row: i64) -> [[u8; 2]; 4] {
         let inside = (column as u64) < self.width as u64 - 1 && (row as u64) < self.height as u64 - 1;
@@ -207,21 +207,21 @@ impl<'a> Sampler<'a> {
     }
 }
 
-/// Four pixels of a texture that samples lie between.
+/// Four neighbouring pixels of a texture, between which samples are interpolated.
 struct Cell {
-    /// Column and row of the first.
+    /// Column and row of the first pixel.
     at: [i64; 2],
     neighbours: [[u8; 2]; 4],
-    /// Whether nothing is known there.
+    /// Whether all four are unknown.
     is_empty: bool,
 }
 
 impl Cell {
-    /// Positions do not reach so far: they are shifted.
+    /// Out of the range of positions, which have been shifted right.
     const NONE: Self = Self { at: [i64::MAX; 2], neighbours: [[0; 2]; 4], is_empty: true };
 }
 
-/// Saturates, because textures may lie absurdly far away.
+/// Saturates, because textures may be extremely far away.
 fn advance(position: [i64; 2], step: [i64; 2]) -> [i64; 2] {
     [position[0].saturating_add(step[0]), position[1].saturating_add(step[1])]
 }
@@ -230,7 +230,7 @@ fn fixed(v: f64) -> i64 {
     (v * (1_i64 << POSITION_BITS) as f64).round() as i64
 }
 
-/// The OVER operator: `source + destination * (1 - alpha)` for each part of a pixel `(grey, known)`.
+/// The OVER operator: `source + destination * (1 - alpha)` for each channel of a pixel `(grey, known)`.
 #[inline]
 pub fn over(destination: &mut [u8; 2], [grey, known, alpha]: Sample) {
     let keep = 255 - alpha.min(255);
@@ -242,8 +242,8 @@ pub fn over(destination: &mut [u8; 2], [grey, known, alpha]: Sample) {
     *destination = [blend(destination[0], grey), blend(destination[1], known)];
 }
 
-/// Adds up evidence: free counts up, occupied down. Free space counts half, because a wall that is a
-/// little out of place in one submap is free space in the other.
+/// Adds up evidence: free is positive, occupied negative. Free space has half weight, because a wall that is
+/// slightly displaced in one submap is free space in another.
 #[inline]
 pub fn add_evidence(sum: &mut i16, [grey, _, alpha]: Sample) {
     *sum = sum.saturating_add((grey / 2) as i16 - alpha as i16);

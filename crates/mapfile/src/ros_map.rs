@@ -1,4 +1,4 @@
-//! Maps for ROS: a grey image and a description (`formats.md §7`).
+//! Writes maps for ROS: a grey image and a description (`formats.md §7`).
 
 use std::borrow::Cow;
 use std::ffi::OsString;
@@ -10,14 +10,14 @@ use portolan_numeric::format_general;
 
 use crate::paint::PaintedMap;
 
-/// How the description names its image.
+/// How the description refers to its image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ImageName {
-    /// The path as it was given, with its folders: what the format says. Programs look for it relative
-    /// to the description, so it is found only for files without folders or with absolute paths.
+    /// The path as given, with its folders, as in the format. Programs resolve it relative to the
+    /// description, so the image is found only for paths without folders and for absolute paths.
     #[default]
     AsOpened,
-    /// The name alone; found wherever the two files are moved to together.
+    /// The file name alone; it stays valid when both files are moved together.
     Beside,
 }
 
@@ -47,14 +47,14 @@ pub fn write_ros_map(
     Ok((image, description))
 }
 
-/// Adds an ending; unlike an extension it does not replace what follows a dot in the name.
+/// Appends an ending; unlike an extension it does not replace the part of the name after a dot.
 fn with_ending(stem: &Path, ending: &str) -> PathBuf {
     let mut name = OsString::from(stem);
     name.push(ending);
     PathBuf::from(name)
 }
 
-/// Writes the image of a ROS map: occupied is black, free white.
+/// Writes the image of a ROS map: occupied is black, free is white.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -76,7 +76,7 @@ fn pgm_header(resolution: f64, width: usize, height: usize) -> String {
 
 /// The description of a ROS map. `lower_left` is the position of the image's lower left corner, metres.
 pub fn ros_map_yaml(image: &str, resolution: f64, lower_left: [f64; 2]) -> String {
-    // Cartographer's six digits would be centimetres from a kilometre on, and metres in UTM.
+    // Cartographer's six digits would round to centimetres beyond a kilometre, and to metres in UTM.
     let digits = |v: f64| if v.abs() < 1000.0 { 6 } else { 12 };
     let [x, y] = lower_left.map(|v| format_general(v, digits(v)));
     format!(
@@ -87,7 +87,7 @@ pub fn ros_map_yaml(image: &str, resolution: f64, lower_left: [f64; 2]) -> Strin
     )
 }
 
-/// A text as a value of YAML: as it is where no part of it means something else there, as usual names do not, else in quotes.
+/// A text as a YAML value: plain if no part of it has a special meaning, as in usual names, otherwise quoted.
 fn yaml_text(text: &str) -> Cow<'_, str> {
     let is_plain = |c: char| c.is_alphanumeric() || "/._+-() ".contains(c);
     let begins = text.chars().next().is_some_and(|c| c.is_alphanumeric() || "/._".contains(c));
@@ -102,8 +102,8 @@ fn yaml_text(text: &str) -> Cow<'_, str> {
     Cow::Owned(format!("\"{}\"", text.chars().map(quoted).collect::<String>()))
 }
 
-/// Whether a text is what [`ros_map_yaml`] gives for an image of this name, in whichever folder: a description that
-/// was written with the image, and not by hand since.
+/// Whether a text is the output of [`ros_map_yaml`] for an image of this name in any folder: a description
+/// that was written with the image and not edited by hand since.
 pub fn is_ros_map_yaml_of(text: &str, image: &Path) -> bool {
     let lines: Vec<&str> = text.lines().collect();
     let [name, resolution, origin, rest @ ..] = lines.as_slice() else { return false };

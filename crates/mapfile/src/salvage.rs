@@ -1,4 +1,4 @@
-//! Finding whole records in a damaged file.
+//! Finds intact records in a damaged file.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -8,17 +8,17 @@ use portolan_pbstream::RawMessage;
 use portolan_pbstream::ReadLimits;
 use portolan_pbstream::gunzip;
 
-/// How every record begins after its size: gzip, deflate.
+/// First bytes of every record after its size: gzip, deflate.
 const GZIP_START: [u8; 3] = [0x1f, 0x8b, 8];
-/// The smallest gzip stream.
+/// Size of the smallest gzip stream, bytes.
 const MIN_RECORD: u64 = 18;
-/// The search looks at the file in pieces of this size.
+/// Size of the pieces in which the file is searched, bytes.
 const PIECE: usize = 1 << 20;
-/// Searching may unpack this many times the length of the file in vain before it gives up; a file made to
-/// keep it busy would otherwise do so for a very long time.
+/// Maximum number of bytes that the search unpacks in vain, in multiples of the length of the file. It bounds
+/// the time for a file made to keep the search busy.
 const MAX_VAIN_WORK: u64 = 16;
 
-/// Reads records like a reader, but goes on after damage with the next record that is whole.
+/// Reads records like a normal reader, but continues after damage with the next intact record.
 pub(crate) struct Salvage {
     file: File,
     length: u64,
@@ -26,9 +26,9 @@ pub(crate) struct Salvage {
     index: u64,
     limits: ReadLimits,
     vain_work: u64,
-    /// Records or stretches of bytes that could not be used.
+    /// Number of records, or of runs of bytes, that could not be used.
     pub damaged: u64,
-    /// Bytes in them.
+    /// Number of bytes in them.
     pub lost_bytes: u64,
 }
 
@@ -41,7 +41,7 @@ impl Salvage {
         Ok(Self {
             file,
             length,
-            // The magic number may be damaged too.
+            // The magic number may be damaged too: it is skipped.
             position: 8,
             index: 0,
             limits,
@@ -51,7 +51,7 @@ impl Salvage {
         })
     }
 
-    /// The next whole record, or nothing at the end.
+    /// The next intact record, or none at the end.
     ///
     /// # Errors
     /// If the file cannot be read.
@@ -62,7 +62,7 @@ impl Salvage {
                 return Ok(Some(message));
             }
             self.damaged += 1;
-            // Where the next record is in its place, only this one is lost.
+            // If a record follows at the expected offset, only this one is lost.
             let next = match self.size_at(start)?.map(|size| start + 8 + size) {
                 Some(end) if end == self.length || self.size_at(end)?.is_some() => end,
                 _ => self.search(start + 1)?,
@@ -73,7 +73,7 @@ impl Salvage {
         Ok(None)
     }
 
-    /// Unpacks the record at `start` and moves behind it.
+    /// Unpacks the record at `start` and moves to its end.
     fn record_at(&mut self, start: u64) -> io::Result<Option<RawMessage>> {
         let Some(size) = self.size_at(start)? else { return Ok(None) };
         self.file.seek(SeekFrom::Start(start + 8))?;
@@ -93,7 +93,7 @@ impl Salvage {
         }
     }
 
-    /// The size of the record at `start`, if it can be one.
+    /// The size of the record at `start`, if it can be a record.
     fn size_at(&mut self, start: u64) -> io::Result<Option<u64>> {
         let mut head = [0; 11];
         if start.saturating_add(head.len() as u64) > self.length {
@@ -104,7 +104,7 @@ impl Salvage {
         Ok(size_in(&head, self.length - start, &self.limits))
     }
 
-    /// The start of the next whole record at or after `from`, or the end of the file.
+    /// The start of the next intact record at or after `from`, or the end of the file.
     fn search(&mut self, from: u64) -> io::Result<u64> {
         let mut from = from;
         while from < self.length && self.vain_work / MAX_VAIN_WORK <= self.length {
@@ -130,7 +130,7 @@ impl Salvage {
     }
 }
 
-/// The size in the first eleven bytes of a record of which `available` bytes are there.
+/// The size from the first eleven bytes of a record; none if it is not plausible for `available` bytes.
 fn size_in(head: &[u8], available: u64, limits: &ReadLimits) -> Option<u64> {
     let (size, start) = head.split_first_chunk::<8>()?;
     let size = u64::from_le_bytes(*size);

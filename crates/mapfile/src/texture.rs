@@ -1,4 +1,4 @@
-//! Pictures of single submaps: the textures of `formats.md §4.7`.
+//! Renders single submaps: the textures of `formats.md §4.7`.
 
 use nalgebra::Translation3;
 use portolan_geometry::{Quaternion, Rigid3};
@@ -10,10 +10,10 @@ use portolan_pbstream::proto::mapping::submap_query::response::SubmapTexture as 
 use portolan_pbstream::proto::mapping::{Grid2D, Submap2D};
 use portolan_pbstream::{pose_from_proto, pose_to_proto};
 
-/// Textures of more pixels than this are taken for damage: 2 GB in a message, 40 km² at 5 cm.
+/// Maximum number of pixels of a texture; larger ones count as damage: 2 GB in a message, 40 km² at 5 cm.
 pub const MAX_TEXTURE_PIXELS: usize = 1 << 28;
 
-/// What a submap looks like from above.
+/// Image of a submap seen from above.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SubmapTexture {
     /// `(value, alpha)` row by row; `(0, 0)` is unknown. Free space has a value, occupied space an alpha.
@@ -24,17 +24,17 @@ pub struct SubmapTexture {
     pub height: usize,
     /// Edge of a pixel in metres.
     pub resolution: f64,
-    /// The corner of the first pixel in the submap frame.
+    /// Pose in the submap frame of the corner of the first pixel.
     pub submap_from_slice: Rigid3,
 }
 
 /// Why a submap has no texture.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TextureError {
-    /// The pose graph has the submap, and the file does not.
+    /// The submap is in the pose graph but not in the file.
     #[error("the submap is missing in the file")]
     Missing,
-    /// There is no grid in the message, or in 3D not both.
+    /// The message has no grid, or in 3D not both.
     #[error("the submap has no grid")]
     NoGrid,
     /// The grid is neither a probability grid nor a TSDF.
@@ -48,10 +48,10 @@ pub enum TextureError {
         /// Cells in the array.
         found: usize,
     },
-    /// A resolution, bound or truncation distance that makes no sense.
+    /// A resolution, bound or truncation distance is not a positive finite number.
     #[error("the grid's {0} is not a positive finite number")]
     Bounds(&'static str),
-    /// The box of known cells does not lie in the grid.
+    /// The box of known cells is not within the grid.
     #[error("the box of known cells does not lie in the grid")]
     KnownCellsBox,
     /// A code outside of 0 to 65535 (the highest bit is a marker that files should not have).
@@ -60,16 +60,16 @@ pub enum TextureError {
     /// A pose is missing or not valid.
     #[error("the {0} pose of the submap is missing or not valid")]
     Pose(&'static str),
-    /// The cells spread over too large an area.
+    /// The cells extend over too large an area.
     #[error("the submap would need {0} pixels, which cannot be right")]
     TooLarge(u64),
 }
 
 impl SubmapTexture {
-    /// As a message, with packed pixels.
+    /// The texture as a message, with compressed pixels.
     ///
     /// # Errors
-    /// If the pixels cannot be packed.
+    /// If the pixels cannot be compressed.
     pub fn to_proto(&self) -> std::io::Result<TextureMessage> {
         Ok(TextureMessage {
             cells: gzip(self.pixels.as_flattened())?,
@@ -84,7 +84,7 @@ impl SubmapTexture {
 /// The texture of a 2D submap, cropped to its known cells.
 ///
 /// # Errors
-/// If the submap has no grid, one of an unknown type or one that is damaged, or no valid pose.
+/// If the submap has no grid, no valid pose, or a grid that is damaged or of an unknown type.
 pub fn texture_2d(submap: &Submap2D) -> Result<SubmapTexture, TextureError> {
     let grid = submap.grid.as_ref().ok_or(TextureError::NoGrid)?;
     let local_from_submap = pose_from_proto(submap.local_pose.as_ref()).ok_or(TextureError::Pose("local"))?;
@@ -131,7 +131,7 @@ fn lookup(table: &[[u8; 2]], code: i32) -> Option<Result<[u8; 2], TextureError>>
     Some(pixel.ok_or(TextureError::CellValue(code)))
 }
 
-/// The known part of a grid.
+/// The box of known cells of a grid.
 struct GridView {
     stride: usize,
     /// First column and row.
@@ -157,7 +157,7 @@ impl GridView {
             return Err(TextureError::CellCount { stated, found: grid.cells.len() });
         }
         let stride = columns as usize;
-        // An empty grid is shown as one unknown pixel.
+        // An empty grid becomes one unknown pixel.
         let Some(known) = grid.known_cells_box.filter(|b| b.min_x <= b.max_x && b.min_y <= b.max_y) else {
             return Ok(Self { stride, offset: (0, 0), width: 1, height: 1 });
         };
@@ -173,7 +173,7 @@ impl GridView {
         })
     }
 
-    /// The pixel of every cell, row by row; cells outside of the grid are unknown.
+    /// Pixels of all cells, row by row; cells outside of the grid are unknown.
     fn map(
         &self,
         mut pixel: impl FnMut(usize) -> Option<Result<[u8; 2], TextureError>>,
@@ -189,7 +189,7 @@ impl GridView {
     }
 }
 
-/// Pixels of a truncated signed distance field: the nearer to a surface and the surer, the darker.
+/// Pixels of a truncated signed distance field: darker nearer to a surface and at larger weights.
 struct TsdfPixels {
     distances: CodeRange,
     truncation_distance: f32,

@@ -1,4 +1,4 @@
-//! X-ray pictures of 3D submaps, seen from above in the global map (`formats.md §4.7`).
+//! Renders 3D submaps as X-ray images from above in the global map (`formats.md §4.7`).
 
 use nalgebra::{Quaternion as RawQuaternion, Translation3, Vector3};
 use portolan_geometry::{NearFrame, Quaternion, Rigid3, to_f32};
@@ -7,20 +7,20 @@ use crate::texture::{MAX_TEXTURE_PIXELS, SubmapTexture, TextureError};
 use portolan_pbstream::codes::{self, MAX_PROBABILITY, MIN_PROBABILITY, PROBABILITIES};
 use portolan_pbstream::proto::mapping::{HybridGrid, Submap3D};
 
-/// Cells below this are free or not sure.
+/// Probability below which a cell is not occupied: free or uncertain.
 const OBSTRUCTED: f32 = 0.501;
-/// Columns of voxels lower than this show floor or ceiling only.
+/// Minimum height of a column of voxels, in voxels; lower ones contain only floor or ceiling.
 const MIN_HEIGHT: i32 = 3;
-/// Pictures of more pixels for each occupied voxel, beyond a start, are taken for damage. Real submaps have
-/// some pixels for each.
+/// Maximum number of pixels for each occupied voxel, in addition to `LEAST_MAX_PIXELS`; larger images count
+/// as damage. Real submaps have a few pixels per voxel.
 const MAX_PIXELS_OF_A_VOXEL: u64 = 64;
 const LEAST_MAX_PIXELS: u64 = 1 << 20;
-/// How much a free voxel between occupied ones counts.
+/// Weight of a free voxel between occupied ones, relative to an occupied one; dimensionless.
 const FREE_SPACE_WEIGHT: f32 = 0.15;
 
-/// The texture of the fine grid of a 3D submap. The picture is taken along the z axis of the global map,
-/// so it changes with the pose `map_from_submap`. Errors also when the coarse grid is missing, because
-/// such a submap is not complete.
+/// The texture of the fine grid of a 3D submap. The projection is along the z axis of the global map, so it
+/// depends on the pose `map_from_submap`. A missing coarse grid is an error too, because such a submap is not
+/// complete.
 ///
 /// # Errors
 /// If one of the two grids is missing, or as for [`xray_texture`].
@@ -33,9 +33,9 @@ pub fn texture_3d(submap: &Submap3D, map_from_submap: &Rigid3) -> Result<SubmapT
 /// The X-ray of one hybrid grid.
 ///
 /// # Errors
-/// If the grid is damaged, or its voxels lie so far apart that the picture would be too large.
+/// If the grid is damaged, or if its voxels are so far apart that the image would be too large.
 pub fn xray_texture(grid: &HybridGrid, map_from_submap: &Rigid3) -> Result<SubmapTexture, TextureError> {
-    // Where single precision tells voxels apart; the place of the picture in the submap is the same.
+    // Single precision resolves voxels in a near frame. The pose of the image in the submap stays the same.
     let map_from_submap = &NearFrame::around([map_from_submap.translation.vector]).near(map_from_submap);
     let voxels = occupied_voxels(grid, map_from_submap)?;
     let area = Area::around(&voxels);
@@ -54,7 +54,7 @@ pub fn xray_texture(grid: &HybridGrid, map_from_submap: &Rigid3) -> Result<Subma
             c.add(index.z, *probability);
         }
     }
-    // In single precision, as the coordinates of voxels.
+    // In single precision, like the coordinates of voxels.
     let corner = |index: i32| f64::from(index as f32 * grid.resolution);
     let map_from_slice = Rigid3::from_parts(
         Translation3::new(corner(area.max.x), corner(area.max.y), map_from_submap.translation.z),
@@ -94,14 +94,14 @@ fn occupied_voxels(
         }
         let centre = Vector3::new(*x as f32, *y as f32, *z as f32) * grid.resolution;
         let index = (rotate(&q, &centre) + t) / grid.resolution;
-        // `as` saturates; what lies so far out is refused by the size of the area.
+        // `as` saturates; voxels that far out are rejected by the size of the area.
         voxels.push((index.map(|c| c.round() as i32), probability));
     }
     Ok(voxels)
 }
 
-/// The rotation of a vector with this order of operations, so that voxels on the border between two
-/// pixels fall as they do in other programs.
+/// Rotates a vector in this order of operations, so that voxels on the border between two pixels are assigned
+/// as by other programs.
 fn rotate(q: &RawQuaternion<f32>, v: &Vector3<f32>) -> Vector3<f32> {
     let axis = q.vector();
     let uv = axis.cross(v);
@@ -109,7 +109,7 @@ fn rotate(q: &RawQuaternion<f32>, v: &Vector3<f32>) -> Vector3<f32> {
     v + q.w * uv + axis.cross(&uv)
 }
 
-/// The cells that the picture covers.
+/// The cells covered by the image.
 struct Area {
     max: Vector3<i32>,
     width: u64,
@@ -131,7 +131,7 @@ impl Area {
     }
 }
 
-/// What was met along one vertical line.
+/// Statistics of the voxels along one vertical line.
 #[derive(Clone, Copy)]
 struct Column {
     count: i32,

@@ -1,10 +1,11 @@
-//! Whether a map that was just written is sound. Maps are copied message by message, and so is damage of their sources.
+//! Checks a map that was just written. Maps are copied message by message, with any damage of their source
+//! files.
 
 use std::path::Path;
 
 use portolan_pbstream::{Finding, PbstreamReader, ReadLimits, Severity, validate};
 
-/// What is wrong with it: the errors of [`validate`]. None in what is no regular file, as it cannot be read again.
+/// Errors of the map found by [`validate`]. None if it is not a regular file, because it cannot be read again.
 pub(crate) fn damage_of(output: &Path, limits: ReadLimits) -> Vec<Finding> {
     if !output.is_file() {
         return Vec::new();
@@ -13,7 +14,7 @@ pub(crate) fn damage_of(output: &Path, limits: ReadLimits) -> Vec<Finding> {
         Ok(mut reader) => {
             validate(&mut reader).into_iter().filter(|finding| finding.severity == Severity::Error).collect()
         }
-        // It was written a moment ago: something else is at its place now.
+        // It was written just now: another file has replaced it since.
         Err(_) => Vec::new(),
     }
 }

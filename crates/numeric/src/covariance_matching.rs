@@ -1,19 +1,20 @@
-//! How much larger errors are than they are assumed to be.
+//! Estimates how much larger errors are than assumed.
 
-/// The factor by which the variance of an error differs from what is assumed of it, learned from innovations: what
-/// measurements add to predictions. Innovations have the covariance of the prediction (and of the measurement, where
-/// that counts), or else the assumption is wrong by a factor (covariance matching: Mehra 1972, "Approaches to adaptive
-/// filtering", IEEE Transactions on Automatic Control 17(5)).
+/// Ratio of the actual variance of an error to its assumed variance, estimated from innovations: the
+/// differences of measurements from predictions. If the assumption is right, innovations have the covariance
+/// of the prediction (plus that of the measurement, where it matters). Otherwise they differ from it by a
+/// factor (covariance matching: Mehra 1972, "Approaches to adaptive filtering", IEEE Transactions on
+/// Automatic Control 17(5)).
 ///
-/// With the squared innovation `s`, for each degree of freedom and in units of the assumed variance, whose expectation is
-/// the factor `λ`, and the memory `m`, in innovations, which are forgotten exponentially:
+/// `s` is the squared innovation per degree of freedom in units of the assumed variance; its expectation is
+/// the factor `λ`. `m` is the memory: the number of innovations over which they are forgotten exponentially.
 ///
 /// ```text
 /// λ ← λ + (min(s, k² λ) − λ) / m
 /// ```
 ///
-/// One innovation counts as at most `k` = 4 standard deviations of what was learned so far: a single outlier says little,
-/// and a few in a row are no outliers.
+/// An innovation is limited to `k` = 4 standard deviations as estimated so far: a single outlier has little
+/// effect, and several in a row are not outliers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CovarianceMatching {
     factor: f64,
@@ -21,49 +22,50 @@ pub struct CovarianceMatching {
     bounds: (f64, f64),
 }
 
-/// An innovation counts as at most so many standard deviations.
+/// Limit of an innovation, in estimated standard deviations.
 const LARGEST_SIGMAS: f64 = 4.0;
 
 impl CovarianceMatching {
-    /// Errors are as assumed until about so many innovations say something else.
+    /// Starts with a factor of 1: errors as assumed. `memory` is the approximate number of innovations that
+    /// changes the factor.
     pub const fn new(memory: f64) -> Self {
         Self { factor: 1.0, memory, bounds: (0.0, f64::INFINITY) }
     }
 
-    /// Errors are believed to have so many times the variance that is assumed, until innovations say something else.
+    /// Starts with this factor of the variance instead of 1.
     #[must_use]
     pub const fn starting_at(self, factor: f64) -> Self {
         Self { factor, ..self }
     }
 
-    /// The factor does not leave these bounds.
+    /// Limits the factor to these bounds.
     pub const fn within(self, least: f64, most: f64) -> Self {
         Self { bounds: (least, most), ..self }
     }
 
-    /// The variance is as many times what is assumed as the bounds allow: the measurements are of no use.
+    /// Sets the factor to its upper bound: the measurements are of no use.
     pub fn distrust(&mut self) {
         self.factor = self.bounds.1;
     }
 
-    /// How many times the variance is what is assumed.
+    /// Ratio of the estimated to the assumed variance.
     pub const fn variance_factor(&self) -> f64 {
         self.factor
     }
 
-    /// How many times the standard deviation is what is assumed.
+    /// Ratio of the estimated to the assumed standard deviation.
     pub fn sigma_factor(&self) -> f64 {
         self.factor.sqrt()
     }
 
-    /// Takes a squared innovation for each degree of freedom, in units of the variance that is assumed.
+    /// Adds a squared innovation per degree of freedom, in units of the assumed variance.
     pub fn add(&mut self, squared: f64) {
         let most = LARGEST_SIGMAS * LARGEST_SIGMAS * self.factor;
         let learned = self.factor + (squared.min(most) - self.factor) / self.memory;
         self.factor = learned.clamp(self.bounds.0, self.bounds.1);
     }
 
-    /// Takes one in units of the variance as it was learned so far.
+    /// Adds a squared innovation per degree of freedom, in units of the variance as estimated so far.
     pub fn add_relative(&mut self, squared: f64) {
         self.add(squared * self.factor);
     }

@@ -1,15 +1,15 @@
-//! How values are distributed, in steps of equal width.
+//! Histograms with bins of equal width.
 
-/// Values that are counted in steps. Those that are not finite are left out.
+/// Values for a histogram. Values that are not finite are left out.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Histogram {
     values: Vec<f64>,
 }
 
-/// The values of a histogram, counted.
+/// The bins of a histogram, and statistics of its values.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HistogramBins {
-    /// How many values there are.
+    /// Number of values.
     pub count: usize,
     /// The smallest.
     pub min: f64,
@@ -17,22 +17,23 @@ pub struct HistogramBins {
     pub max: f64,
     /// Their mean.
     pub mean: f64,
-    /// Width of a step.
+    /// Width of a bin.
     pub width: f64,
-    /// How many values lie in each step, from the smallest value on; the largest value lies in the last one. Empty
+    /// Number of values in each bin, from the smallest value on; the largest value is in the last bin. Empty
     /// if all values are equal.
     pub counts: Vec<usize>,
 }
 
 impl Histogram {
-    /// One more value.
+    /// Adds a value.
     pub fn add(&mut self, value: f64) {
         if value.is_finite() {
             self.values.push(value);
         }
     }
 
-    /// The values counted in so many steps of equal width, from the smallest to the largest one; none without values.
+    /// The values in `steps` bins of equal width, from the smallest to the largest value; `None` without
+    /// values.
     pub fn bins(&self, steps: usize) -> Option<HistogramBins> {
         let count = self.values.len();
         if count == 0 || steps == 0 {

@@ -1,13 +1,13 @@
-//! How long scans took, as a histogram of fixed size.
+//! Histogram of fixed size of the processing times of scans.
 
 use std::time::Duration;
 
-/// Bins per doubling of the time: neighbouring bounds differ by 9 %.
+/// Number of bins per doubling of the time: neighbouring bounds differ by 9 %.
 const BINS_PER_DOUBLING: f64 = 8.0;
-/// The first bin ends at one microsecond, the last one holds everything beyond two minutes.
+/// Number of bins. The first ends at one microsecond, the last contains everything beyond two minutes.
 const BINS: usize = 216;
 
-/// Times sorted into bins that grow with the time, so that quantiles are known to 9 %.
+/// Histogram of times with bins of logarithmic width, so that quantiles are known to 9 %.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LatencyHistogram {
     counts: Vec<u64>,
@@ -22,7 +22,7 @@ impl Default for LatencyHistogram {
 }
 
 impl LatencyHistogram {
-    /// Counts one more.
+    /// Adds a time.
     pub fn add(&mut self, time: Duration) {
         let doublings = (time.as_secs_f64() * 1e6).max(1.0).log2();
         let bin = (doublings * BINS_PER_DOUBLING).ceil() as usize;
@@ -33,7 +33,7 @@ impl LatencyHistogram {
         self.longest = self.longest.max(time);
     }
 
-    /// Adds those of another histogram.
+    /// Adds the times of another histogram.
     pub fn merge(&mut self, other: &Self) {
         for (count, more) in self.counts.iter_mut().zip(&other.counts) {
             *count += more;
@@ -42,7 +42,7 @@ impl LatencyHistogram {
         self.longest = self.longest.max(other.longest);
     }
 
-    /// How many were counted.
+    /// Number of times.
     pub fn count(&self) -> u64 {
         self.counts.iter().sum()
     }
@@ -57,7 +57,7 @@ impl LatencyHistogram {
         self.longest
     }
 
-    /// Upper bound of the time that the fraction `quantile` in [0, 1] of all stayed within.
+    /// Upper bound of a quantile: the fraction `quantile` in [0, 1] of all times is at most this long.
     pub fn quantile(&self, quantile: f64) -> Duration {
         let wanted = (quantile.clamp(0.0, 1.0) * self.count() as f64).ceil() as u64;
         let mut seen = 0;

@@ -1,7 +1,7 @@
-//! Numbers as C and C++ print them.
+//! Formats numbers as C and C++ do.
 
-/// `printf("%.{digits}g")`: so many significant digits, no trailing zeros, exponent where it is shorter.
-/// The usual stream formatting is `digits` = 6.
+/// `printf("%.{digits}g")`: `digits` significant digits, no trailing zeros, an exponent where that is
+/// shorter. The default formatting of C++ streams is `digits` = 6.
 pub fn format_general(value: f64, digits: usize) -> String {
     if !value.is_finite() {
         let text = if value.is_nan() { "nan" } else { "inf" };
@@ -23,7 +23,7 @@ fn without_zeros(number: &str) -> &str {
     if number.contains('.') { number.trim_end_matches('0').trim_end_matches('.') } else { number }
 }
 
-/// `1 pose`, `2 poses`.
+/// A count with its noun: `1 pose`, `2 poses`.
 pub fn counted(count: u64, one: &str, several: &str) -> String {
     if count == 1 { format!("1 {one}") } else { format!("{count} {several}") }
 }

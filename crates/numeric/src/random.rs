@@ -1,16 +1,16 @@
-//! Random numbers that are the same on every machine. They are not for secrets.
+//! Random numbers that are the same on every machine. Not for cryptography.
 
-/// Golden ratio times 2⁶⁴: what SplitMix64 adds to its state.
+/// Golden ratio times 2⁶⁴: the increment of the state of SplitMix64.
 pub(crate) const GOLDEN_GAMMA: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// The finaliser of SplitMix64: every bit of the input reaches every bit of the output.
+/// The finaliser of SplitMix64: every bit of the input affects every bit of the output.
 pub fn splitmix64(mut z: u64) -> u64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     z ^ (z >> 31)
 }
 
-/// The finaliser of MurmurHash3: indices in a fixed order that looks random.
+/// The finaliser of MurmurHash3, which maps indices to a fixed order that looks random.
 pub fn scramble(index: u32) -> u32 {
     let mut h = index.wrapping_add(0x9e37_79b9);
     h = (h ^ (h >> 16)).wrapping_mul(0x85eb_ca6b);
@@ -28,10 +28,10 @@ fn unit(bits: u64) -> f64 {
 pub struct SplitMix64(u64);
 
 impl SplitMix64 {
-    /// What it adds to its state with each number; keys made of counters are multiplied with it.
+    /// Increment of the state per number; keys made of counters are multiplied by it.
     pub const GAMMA: u64 = GOLDEN_GAMMA;
 
-    /// Begins with a seed.
+    /// A generator with this seed.
     pub fn new(seed: u64) -> Self {
         Self(seed)
     }
@@ -53,17 +53,18 @@ impl SplitMix64 {
     }
 }
 
-/// The linear congruential generator of Knuth's MMIX: one multiplication a number, good in its high bits alone.
+/// The linear congruential generator of Knuth's MMIX: one multiplication per number; only its high bits are
+/// random.
 #[derive(Clone, Debug)]
 pub struct Lcg64(u64);
 
 impl Lcg64 {
-    /// Begins with a seed.
+    /// A generator with this seed.
     pub fn new(seed: u64) -> Self {
         Self(seed)
     }
 
-    /// 64 bits, the high ones of which are random.
+    /// 64 bits, of which only the high ones are random.
     pub fn bits(&mut self) -> u64 {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         self.0

@@ -1,6 +1,6 @@
-//! Statistics of values. An empty list has none.
+//! Statistics of values. They are `None` for an empty list.
 
-/// The value below which this fraction of the values lies, one that occurs; not-numbers count as the largest. The
+/// The quantile for a fraction, as one of the values (not interpolated). NaN counts as the largest value. The
 /// order of the values changes.
 pub fn quantile(values: &mut [f64], fraction: f64) -> Option<f64> {
     let last = values.len().checked_sub(1)?;
@@ -8,13 +8,14 @@ pub fn quantile(values: &mut [f64], fraction: f64) -> Option<f64> {
     Some(*values.select_nth_unstable_by(index, f64::total_cmp).1)
 }
 
-/// The middle value, the upper one of two; not-numbers count as the largest. The order of the values changes.
+/// The median, of an even number the upper one of the middle two. NaN counts as the largest value. The order
+/// of the values changes.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     quantile(values, 0.5)
 }
 
-/// The quantile of values in ascending order, interpolated between the two beside it; the median of an even number is
-/// the mean of the middle two.
+/// The quantile of values in ascending order, interpolated between the two neighbouring values. The median of
+/// an even number is the mean of the middle two.
 pub fn percentile(sorted: &[f64], fraction: f64) -> Option<f64> {
     let position = fraction.clamp(0.0, 1.0) * sorted.len().checked_sub(1)? as f64;
     let below = position.floor();
@@ -34,7 +35,7 @@ pub fn rms(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| (squares / values.len() as f64).sqrt())
 }
 
-/// Probabilities of alternatives, of which it is known how likely they are as logarithms, up to a common term.
+/// Probabilities of alternatives from their log likelihoods, which may have a common offset.
 pub fn probabilities(logs: &[f64]) -> Vec<f64> {
     let highest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let likelihoods: Vec<f64> = logs.iter().map(|log| (log - highest).exp()).collect();

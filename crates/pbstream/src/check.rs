@@ -1,4 +1,4 @@
-//! Whether a map file is what other programs expect of it.
+//! Checks whether other programs can read and use a map file.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,20 +13,20 @@ use crate::proto::mapping::serialized_data::Data;
 use crate::proto::transform::Rigid3d;
 use crate::reader::PbstreamReader;
 
-/// Findings of one kind beyond this many are only counted.
+/// Maximum number of findings of one kind that are reported; further ones are only counted.
 const MAX_FINDINGS_OF_A_KIND: u64 = 20;
 
-/// How bad a finding is.
+/// Severity of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Severity {
-    /// Unusual; nothing is lost.
+    /// Unusual, but no data are lost.
     Warning,
-    /// Data are lost, or other programs may refuse the map.
+    /// Data are lost, or other programs may reject the map.
     Error,
 }
 
-/// What a finding is about.
+/// Subject of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FindingKind {
@@ -34,38 +34,39 @@ pub enum FindingKind {
     Damage,
     /// Header missing or of an unknown version.
     Header,
-    /// Messages missing, twice or in the wrong place.
+    /// Messages missing, repeated or in the wrong place.
     Order,
-    /// A message of a kind that is not known.
+    /// A message of an unknown kind.
     UnknownMessage,
     /// Options and trajectories do not agree.
     Options,
-    /// The same id twice, or a negative one.
+    /// A repeated or negative id.
     DuplicateId,
-    /// A node or submap without its counterpart in the pose graph, or the other way round.
+    /// A node or submap without its counterpart in the pose graph, or the reverse.
     MissingPart,
-    /// A pose missing, not finite or no rotation.
+    /// A pose that is missing, not finite or not a rotation.
     Pose,
-    /// A constraint to something that is not there, or with impossible weights.
+    /// A constraint to a missing node or submap, or with invalid weights.
     Constraint,
-    /// A grid whose sizes or cells cannot be.
+    /// A grid with invalid sizes or cells.
     Grid,
-    /// A point cloud that cannot be unpacked.
+    /// A point cloud that cannot be decompressed.
     PointCloud,
     /// A histogram missing or not finite.
     Histogram,
-    /// Times that do not ascend or do not agree.
+    /// Times that do not ascend or contradict each other.
     Time,
     /// 3D: a trajectory whose IMU data do not reach back to its first node.
     Imu,
-    /// A trajectory none of whose nodes has a constraint.
+    /// A trajectory without any constraint on its nodes.
     Unconstrained,
-    /// A place farther from the origin than anything on Earth.
+    /// A position farther from the origin than anything on Earth.
     FarAway,
 }
 
 impl FindingKind {
-    /// What `repair` of `portolan-mapfile` does about it; none where nothing has to be done or nothing can.
+    /// What `repair` of `portolan-mapfile` does about it; none where nothing needs to be done or nothing can
+    /// be.
     pub fn repair(self) -> Option<&'static str> {
         match self {
             Self::Damage => Some("keeps the records that are whole"),
@@ -86,20 +87,20 @@ impl FindingKind {
     }
 }
 
-/// One thing that is wrong with a map.
+/// A problem of a map.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Finding {
-    /// How bad it is.
+    /// Severity.
     pub severity: Severity,
-    /// What it is about.
+    /// Subject.
     pub kind: FindingKind,
     /// Number of the message; the header is 0.
     pub message: Option<u64>,
     /// Position of the message in the file.
     pub offset: Option<u64>,
-    /// How many findings it stands for.
+    /// Number of findings that it stands for.
     pub count: u64,
-    /// What is wrong, in a sentence.
+    /// Description in one sentence.
     pub text: String,
 }
 
@@ -116,8 +117,8 @@ impl std::fmt::Display for Finding {
     }
 }
 
-/// Reads a whole map and tells everything that is wrong with it, in the order of the file. Of each kind
-/// of finding the first twenty are reported and the rest is counted. An empty answer means: a good map.
+/// Reads a whole map and reports all problems in file order. Of each kind of finding the first twenty are
+/// reported and the rest are counted. An empty result means that the map is good.
 pub fn validate(reader: &mut PbstreamReader) -> Vec<Finding> {
     let mut check = Check::default();
     loop {
@@ -135,25 +136,25 @@ pub fn validate(reader: &mut PbstreamReader) -> Vec<Finding> {
     check.finish()
 }
 
-/// Tells what is wrong with a pose graph that is about to be written, as [`validate`] does of one in a file: poses, times,
-/// identities and constraints.
+/// Reports the problems of a pose graph before it is written, as [`validate`] does for one in a file: poses,
+/// times, ids and constraints.
 pub fn validate_pose_graph(graph: &PoseGraph) -> Vec<Finding> {
     let mut check = Check::default();
     check.pose_graph(graph);
     check.counted()
 }
 
-/// What has been seen of a map so far.
+/// State of the check: the parts of the map that were read so far.
 #[derive(Default)]
 pub(crate) struct Check {
     findings: Vec<Finding>,
     counts: BTreeMap<(FindingKind, Severity), u64>,
-    /// Index and offset of the message that is being looked at.
+    /// Index and offset of the message that is being checked.
     at: Option<(u64, u64)>,
     last_index: Option<u64>,
     version: Option<u32>,
     options: Option<usize>,
-    /// To which trajectory the start of each is relative.
+    /// Trajectory to which the start of each trajectory is relative.
     starts: Vec<Option<i32>>,
     graph: Option<GraphIds>,
     pub(crate) nodes_seen: BTreeSet<IdInFile>,
@@ -200,12 +201,12 @@ impl Check {
         self.error(FindingKind::Damage, problem.to_string());
     }
 
-    /// Version of the format, where the header could be read.
+    /// Version of the format, if the header could be read.
     pub(crate) fn version(&self) -> Option<u32> {
         self.version
     }
 
-    /// Ids of the pose graph, where it could be read.
+    /// Ids of the pose graph, if it could be read.
     pub(crate) fn graph(&self) -> Option<&GraphIds> {
         self.graph.as_ref()
     }
@@ -272,7 +273,7 @@ impl Check {
         }
     }
 
-    /// Checks that a pose is there and valid.
+    /// Checks that a pose is present and valid.
     pub(crate) fn pose(&mut self, what: &str, pose: Option<&Rigid3d>) -> Option<Rigid3> {
         let valid = pose_from_proto(pose);
         if valid.is_none() {
@@ -290,7 +291,7 @@ impl Check {
         valid
     }
 
-    /// Checks that times ascend; `stream` tells apart what must ascend by itself.
+    /// Checks that times ascend, separately for each trajectory and `stream`.
     pub(crate) fn ascending(&mut self, trajectory: i32, stream: u32, time: i64, what: &str) {
         let last = self.last_times.insert((trajectory, stream), time);
         if let Some(last) = last.filter(|last| time <= *last) {
@@ -314,7 +315,7 @@ impl Check {
         self.counted()
     }
 
-    /// All findings; of each kind those beyond the first twenty as one.
+    /// All findings; those of a kind beyond the first twenty are combined into one.
     fn counted(mut self) -> Vec<Finding> {
         for ((kind, severity), count) in std::mem::take(&mut self.counts) {
             if let Some(more) = count.checked_sub(MAX_FINDINGS_OF_A_KIND).filter(|m| *m > 0) {
@@ -349,7 +350,7 @@ impl Check {
         }
     }
 
-    /// What Cartographer needs of a trajectory that it may move.
+    /// Checks the requirements of Cartographer for trajectories that are not frozen.
     fn trajectories_of_other_programs(&mut self, graph: &GraphIds) {
         let mut first_nodes: BTreeMap<i32, i64> = BTreeMap::new();
         for ((trajectory, _), time) in &graph.nodes {
@@ -378,19 +379,20 @@ impl Check {
     }
 }
 
-/// The trajectory to which the start of another is relative.
+/// The trajectory to which the start of a trajectory is relative.
 pub fn start_of(options: &crate::proto::mapping::TrajectoryBuilderOptionsWithSensorIds) -> Option<i32> {
     let options = options.trajectory_builder_options.as_ref()?;
     options.initial_trajectory_pose.as_ref().map(|start| start.to_trajectory_id)
 }
 
-/// Trajectories (by their place in the file) whose start is relative to one that is not there, to themselves,
-/// or in a circle, and what is wrong with each.
+/// Trajectories (by their index in the file) whose start is relative to a missing trajectory, to themselves,
+/// or part of a cycle, and a description of each problem.
 pub fn bad_starts(ids: &[i32], starts: &[Option<i32>]) -> Vec<(usize, String)> {
     let place: BTreeMap<i32, usize> = ids.iter().enumerate().map(|(i, id)| (*id, i)).rev().collect();
     let next = |i: usize| starts.get(i).copied().flatten();
     let mut bad = Vec::new();
-    // In which walk each was reached first; a walk that meets itself has found a circle.
+    // Index of the walk in which each trajectory was reached first; a walk that meets itself has found a
+    // cycle.
     let mut reached = vec![usize::MAX; ids.len()];
     for (i, id) in ids.iter().enumerate() {
         if let Some(to) = next(i).filter(|to| !place.contains_key(to)) {

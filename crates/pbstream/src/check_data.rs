@@ -8,7 +8,7 @@ use crate::proto::mapping::serialized_data::Data;
 use crate::proto::mapping::{self, Submap3D};
 use crate::proto::transform::Vector3d;
 
-/// Tells apart the streams whose times must ascend.
+/// Numbers of the streams whose times must ascend; see `Check::ascending`.
 const STREAM_IMU: u32 = 6;
 const STREAM_ODOMETRY: u32 = 7;
 const STREAM_FIXED_FRAME: u32 = 8;
@@ -139,7 +139,7 @@ impl Check {
                     return self.error(FindingKind::MissingPart, "a fixed-frame message without content");
                 };
                 self.ascending(data.trajectory_id, STREAM_FIXED_FRAME, fixed.timestamp, "a fixed-frame pose");
-                // Without a fix there is none.
+                // Without a GNSS fix there is no pose.
                 if fixed.pose.is_some() {
                     self.pose("the fixed frame", fixed.pose.as_ref());
                 }
@@ -165,7 +165,7 @@ impl Check {
         }
     }
 
-    /// Whether the pose graph knows a submap or node. Without a pose graph that is reported once, at the end.
+    /// Checks that the pose graph has a submap or node. A missing pose graph is reported once, at the end.
     fn belongs(&mut self, what: &str, id: IdInFile, known: impl Fn(&crate::check::GraphIds) -> bool) {
         if self.graph().is_some_and(|g| !known(g)) {
             self.error(FindingKind::MissingPart, format!("{what} {id:?} has no pose in the pose graph"));

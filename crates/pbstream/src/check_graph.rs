@@ -6,7 +6,7 @@ use crate::proto::mapping::pose_graph::Constraint;
 use crate::proto::mapping::pose_graph::constraint::Tag;
 use crate::proto::mapping::{PoseGraph, Trajectory};
 
-/// Looks at poses, ids and constraints; returns the ids.
+/// Checks poses, ids and constraints; returns the ids.
 pub(crate) fn check_pose_graph(check: &mut Check, graph: &PoseGraph) -> GraphIds {
     let mut ids = GraphIds::default();
     for trajectory in &graph.trajectory {

@@ -11,16 +11,16 @@ pub const MIN_CORRESPONDENCE_COST: f32 = 1.0 - MAX_PROBABILITY;
 /// Largest correspondence cost.
 pub const MAX_CORRESPONDENCE_COST: f32 = 1.0 - MIN_PROBABILITY;
 
-/// The largest code; 0 means unknown, 1 to this the range of values.
+/// The largest code. Code 0 means unknown; codes from 1 on cover the range of values.
 pub const MAX_CODE: i32 = 32767;
 
-/// The code of a cell without the update marker in its highest bit, which belongs to running programs
-/// and means nothing in files; none where it is no 16-bit number.
+/// The code of a cell without the update marker in its highest bit, which is only used by running programs
+/// and has no meaning in files; none if the cell is not a 16-bit number.
 pub fn without_marker(cell: i32) -> Option<usize> {
     u16::try_from(cell).ok().map(|c| usize::from(c & 0x7fff))
 }
 
-/// How codes 1 to 32767 lie between two bounds.
+/// Linear mapping of the codes 1 to 32767 to the values between two bounds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CodeRange {
     scale: f32,
@@ -40,22 +40,22 @@ impl CodeRange {
     }
 }
 
-/// Bounds of the codes of a probability grid; files that lack them (both exactly 0) mean the defaults.
+/// Bounds of the codes of a probability grid; the defaults if the file has none (both exactly 0).
 pub fn correspondence_cost_bounds(min: f32, max: f32) -> (f32, f32) {
     if min == 0.0 && max == 0.0 { (MIN_CORRESPONDENCE_COST, MAX_CORRESPONDENCE_COST) } else { (min, max) }
 }
 
-/// Probability as a byte from 1 (0.1) over 128 (0.5) to 255 (0.9), linear in the log odds. Probabilities
-/// outside of the bounds count as the bounds.
+/// Probability as a byte from 1 (0.1) over 128 (0.5) to 255 (0.9), linear in the log odds. Probabilities are
+/// clamped to the bounds.
 pub fn log_odds_byte(probability: f32) -> u8 {
     let logit = |p: f32| (p / (1.0 - p)).ln();
     let (low, high) = (logit(MIN_PROBABILITY), logit(MAX_PROBABILITY));
     let scaled = (logit(probability.clamp(MIN_PROBABILITY, MAX_PROBABILITY)) - low) * 254.0 / (high - low);
-    // `as` saturates; NaN gives 0.
+    // `as` saturates; NaN becomes 0.
     (scaled.round() as u8).saturating_add(1)
 }
 
-/// A texture pixel `(value, alpha)` from `delta`: above 0 it is free, below occupied.
+/// Texture pixel `(value, alpha)` from `delta`: positive values are free, negative ones occupied.
 pub fn pixel(delta: i32) -> [u8; 2] {
     let value = delta.clamp(0, 255) as u8;
     let alpha = (-delta).clamp(0, 255) as u8;
@@ -68,13 +68,13 @@ pub fn probability_pixel(probability: f32) -> [u8; 2] {
     pixel(128 - i32::from(log_odds_byte(probability)))
 }
 
-/// Probabilities of the codes of a hybrid grid (code 0 is as good as 0.1).
+/// Probability of each code of a hybrid grid (code 0 counts as 0.1).
 pub static PROBABILITIES: LazyLock<Vec<f32>> = LazyLock::new(|| {
     let range = CodeRange::new(MIN_PROBABILITY, MAX_PROBABILITY);
     (0..=MAX_CODE).map(|code| range.value(code.max(1))).collect()
 });
 
-/// Texture pixels of the codes of a probability grid with the given bounds of correspondence costs.
+/// Texture pixel of each code of a probability grid with these bounds of correspondence costs.
 pub fn probability_grid_pixels(min_cost: f32, max_cost: f32) -> Vec<[u8; 2]> {
     let range = CodeRange::new(min_cost, max_cost);
     let known = (1..=MAX_CODE).map(|code| probability_pixel(1.0 - range.value(code)));
@@ -82,7 +82,7 @@ pub fn probability_grid_pixels(min_cost: f32, max_cost: f32) -> Vec<[u8; 2]> {
 }
 
 #[cfg(test)]
-// Golden values are written as they were printed.
+// Golden values keep the digits that were printed.
 #[allow(clippy::excessive_precision)]
 mod tests {
     use super::*;

@@ -1,7 +1,7 @@
-//! How much memory a message needs when it is decoded, known before that is done.
+//! Estimates the memory that a message needs when it is decoded, before it is decoded.
 //!
 //! Two bytes of a file can stand for an empty message within a message, which takes hundreds of bytes in
-//! memory; packed, such bytes cost nearly nothing. So a file of some kilobytes could ask for many gigabytes.
+//! memory. Such bytes compress to nearly nothing, so a file of some kilobytes could request many gigabytes.
 
 use std::mem::size_of;
 
@@ -10,11 +10,11 @@ use crate::proto::mapping as m;
 use crate::proto::sensor;
 use crate::wire::{Fields, WireValue, joined, put_bytes_field, without_field};
 
-/// Messages that would need more than this are refused. A pose graph that is honestly as long as
-/// [`ReadLimits`](crate::ReadLimits) allow needs less.
+/// Maximum size of a decoded message, bytes; larger ones are rejected. A valid pose graph at the limits of
+/// [`ReadLimits`](crate::ReadLimits) needs less.
 pub(crate) const MAX_DECODED_BYTES: u64 = 1 << 30;
 
-/// An upper bound of the memory that the content of a message takes when it is decoded, bytes.
+/// Upper bound of the memory that the content of a message takes when it is decoded, bytes.
 pub(crate) fn decoded_size(message: &[u8]) -> u64 {
     let mut size = 0;
     for (tag, value) in Fields::new(message).map_while(Result::ok) {
@@ -23,7 +23,7 @@ pub(crate) fn decoded_size(message: &[u8]) -> u64 {
             MessageKind::PoseGraph => pose_graph(content),
             MessageKind::Options => options(content),
             MessageKind::Submap => nested(content, &[2, 3], submap),
-            // Clouds are packed numbers of four bytes; histograms take what they take in the file.
+            // Clouds are packed numbers of four bytes; histograms need as much memory as in the file.
             MessageKind::Node => numbers(content),
             MessageKind::LandmarkData => nested(content, &[2], |data| {
                 count(data, 2) * size_of::<sensor::landmark_data::LandmarkObservation>() as u64
@@ -31,11 +31,11 @@ pub(crate) fn decoded_size(message: &[u8]) -> u64 {
             _ => 0,
         };
     }
-    // Names and ids.
+    // Names and ids need as much memory as in the file.
     size + message.len() as u64
 }
 
-/// Sums up fields that hold messages.
+/// Sums up `size` of the fields with these numbers, which hold messages.
 fn nested(message: &[u8], numbers: &[u32], mut size: impl FnMut(&[u8]) -> u64) -> u64 {
     let fields = Fields::new(message).map_while(Result::ok);
     let sizes = fields.map(|(number, value)| match value {
@@ -45,7 +45,7 @@ fn nested(message: &[u8], numbers: &[u32], mut size: impl FnMut(&[u8]) -> u64) -
     sizes.sum()
 }
 
-/// How often a field is there.
+/// Number of occurrences of a field.
 fn count(message: &[u8], number: u32) -> u64 {
     Fields::new(message).map_while(Result::ok).filter(|(found, _)| *found == number).count() as u64
 }
@@ -72,7 +72,7 @@ fn pose_graph(message: &[u8]) -> u64 {
 }
 
 fn options(message: &[u8]) -> u64 {
-    /// What the lists within options (initial poses, IMU data) take at most for each byte.
+    /// Maximum memory per byte of the lists within options (initial poses, IMU data), bytes.
     const PER_BYTE: u64 = 64;
     let one = |entry: &[u8]| {
         size_of::<m::TrajectoryBuilderOptionsWithSensorIds>() as u64 + PER_BYTE * entry.len() as u64
@@ -80,22 +80,22 @@ fn options(message: &[u8]) -> u64 {
     2 * nested(message, &[1], one)
 }
 
-/// Of a 2D or 3D submap: its grids.
+/// Size of a 2D or 3D submap: that of its grids.
 fn submap(message: &[u8]) -> u64 {
     nested(message, &[4, 5], |grid| nested(grid, &[2, 3, 4, 5, 6], numbers))
 }
 
-/// Packed numbers of four bytes each; in messages within, too.
+/// Size of packed numbers of four bytes each, also in nested messages.
 fn numbers(packed: &[u8]) -> u64 {
-    // Only large ones are worth counting.
+    // Counting the numbers is only worth the time for large messages.
     if (4 * packed.len() as u64) < MAX_DECODED_BYTES {
         return 4 * packed.len() as u64;
     }
     4 * packed.iter().filter(|byte| **byte < 0x80).count() as u64
 }
 
-/// The message of a submap without the cells of its 2D grid, and how many they were. None where there is no
-/// such grid, or the message is damaged.
+/// The message of a submap without the cells of its 2D grid, and the number of these cells. None if there is
+/// no such grid, or the message is damaged.
 pub(crate) fn without_cells(message: &[u8]) -> Option<(Vec<u8>, u64)> {
     let submap = joined(message, MessageKind::Submap.tag());
     let submap_2d = joined(&submap, 2);
@@ -131,7 +131,7 @@ mod tests {
     use super::*;
     use crate::message::RawMessage;
 
-    /// `inner` so many times as the fields of a message, within a message of a kind.
+    /// A message of a kind with `inner` repeated `times` times as its fields.
     fn bomb(kind: u32, field: u32, inner: &[u8], times: usize) -> Vec<u8> {
         let mut one = Vec::new();
         crate::wire::put_bytes_field(&mut one, field, inner);

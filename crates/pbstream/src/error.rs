@@ -1,19 +1,20 @@
-//! What can go wrong with a map file.
+//! Errors of map files.
 
 use std::io;
 use std::path::PathBuf;
 
 use crate::gzip::GzipError;
 
-/// Why a map file could not be read or written. Texts say what to do where something can be done.
+/// Why a map file could not be read or written. The texts say what the user can do, where something can be
+/// done.
 #[derive(Debug, thiserror::Error)]
 pub enum PbstreamError {
     /// The file could not be opened.
     #[error("cannot open the map: {source}")]
     Open {
-        /// The file, for whoever says what this is about.
+        /// The file, for the caller's error message.
         path: PathBuf,
-        /// What the system says.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The file does not start with the magic number of pbstream files.
@@ -22,10 +23,10 @@ pub enum PbstreamError {
         /// The first bytes, as text or in hexadecimal.
         found: String,
     },
-    /// The file is one of another kind.
+    /// The file is of another kind.
     #[error("this is no map (pbstream) but {kind}")]
     OtherKind {
-        /// Of which, and what can be done with it.
+        /// The kind, and what can be done with the file.
         kind: &'static str,
     },
     /// A record could not be read.
@@ -38,7 +39,7 @@ pub enum PbstreamError {
         /// What is wrong with it.
         problem: RecordError,
     },
-    /// The first record is no header, or of a format that is not known.
+    /// The first record is not a header, or has an unknown format version.
     #[error("Unsupported serialization format \"{version}\" (1 and 2 are known)")]
     Version {
         /// The version in the header.
@@ -50,7 +51,7 @@ pub enum PbstreamError {
     /// The second message is missing.
     #[error("Serialized stream misses PoseGraph.")]
     MissingPoseGraph,
-    /// The second message is another one.
+    /// The second message is of another kind.
     #[error(
         "Serialized stream order corrupt. Expecting `PoseGraph` after `SerializationHeader`, but got \
          field tag {tag}"
@@ -62,7 +63,7 @@ pub enum PbstreamError {
     /// The third message is missing.
     #[error("Serialized stream misses `AllTrajectoryBuilderOptions`.")]
     MissingOptions,
-    /// The third message is another one.
+    /// The third message is of another kind.
     #[error(
         "Serialized stream order corrupt. Expecting `AllTrajectoryBuilderOptions` after `PoseGraph`, but \
          got field tag {tag}"
@@ -71,15 +72,15 @@ pub enum PbstreamError {
         /// The field number found.
         tag: u32,
     },
-    /// Options and trajectories do not belong together.
+    /// Options and trajectories do not match.
     #[error(
         "the map has options for {options} trajectories but poses of {trajectories}; `repair` makes them \
          agree"
     )]
     OptionsCount {
-        /// How many options.
+        /// Number of options.
         options: usize,
-        /// How many trajectories.
+        /// Number of trajectories.
         trajectories: usize,
     },
     /// The map could not be written.
@@ -87,12 +88,12 @@ pub enum PbstreamError {
     Write {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The error of the operating system.
         source: io::Error,
     },
 }
 
-/// What is wrong with one record.
+/// Why one record could not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
     /// Reading failed.
@@ -109,7 +110,7 @@ pub enum RecordError {
     Size {
         /// Bytes according to the size field.
         stated: u64,
-        /// Bytes that are there.
+        /// Bytes that are left in the file.
         available: u64,
     },
     /// The record is larger than the limit.
@@ -122,16 +123,16 @@ pub enum RecordError {
         /// The limit.
         limit: u64,
     },
-    /// The record cannot be unpacked.
+    /// The record cannot be decompressed.
     #[error("{0}; `repair` keeps what is whole")]
     Gzip(#[from] GzipError),
-    /// The message is short but stands for very many parts.
+    /// The message is short but expands to very many parts.
     #[error(
         "the message would need {needed} bytes of memory, more than the limit of {limit}: it is damaged; `repair` keeps what is \
          whole"
     )]
     DecodedTooLarge {
-        /// Bytes that the decoded message would need at most.
+        /// Upper bound of the bytes that the decoded message needs.
         needed: u64,
         /// The limit.
         limit: u64,

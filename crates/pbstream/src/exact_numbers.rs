@@ -1,5 +1,4 @@
-//! Messages of plain numbers in which −0.0 survives: the generated ones leave it out as if it were 0, other
-//! programs write it.
+//! Messages of plain numbers that keep −0.0: the generated ones omit it like 0, but other programs write it.
 
 use prost::bytes::{Buf, BufMut};
 use prost::encoding::{DecodeContext, WireType, double, float, skip_field};

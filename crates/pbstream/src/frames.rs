@@ -1,4 +1,4 @@
-//! The container: a magic number, then records of a size and that many compressed bytes
+//! The container format: a magic number, then records, each with a size and that number of compressed bytes
 //! (`formats.md §2`).
 
 use std::io::{self, Read};
@@ -22,7 +22,7 @@ pub struct Frame {
 /// Reads records one after another.
 pub struct FrameReader {
     source: Box<dyn Read + Send>,
-    /// Bytes in the source, where that is known.
+    /// Bytes in the source, if known.
     length: Option<u64>,
     position: u64,
     index: u64,
@@ -31,8 +31,8 @@ pub struct FrameReader {
 }
 
 impl FrameReader {
-    /// Checks the magic number. `length` is the whole length of the source if it is known; stated sizes
-    /// are checked against it before anything is reserved.
+    /// Checks the magic number. `length` is the whole length of the source if it is known; stated sizes are
+    /// checked against it before memory is reserved.
     pub fn new(
         mut source: Box<dyn Read + Send>,
         length: Option<u64>,
@@ -57,13 +57,13 @@ impl FrameReader {
         self.position
     }
 
-    /// The length of the source, where it is known.
+    /// The length of the source, if known.
     pub fn length(&self) -> Option<u64> {
         self.length
     }
 
-    /// The next record, or nothing at the end. After an error there is nothing more, because it is not
-    /// known where the next record starts.
+    /// The next record, or none at the end. An error ends the iteration, because the start of the next record
+    /// is unknown.
     pub fn next_frame(&mut self) -> Result<Option<Frame>, PbstreamError> {
         if self.ended {
             return Ok(None);
@@ -100,7 +100,7 @@ impl FrameReader {
         if stated > self.max_compressed_bytes {
             return Err(RecordError::CompressedTooLarge { stated, limit: self.max_compressed_bytes });
         }
-        // Without a known length the memory grows with what really comes.
+        // Without a known length, memory grows with the data that are actually read.
         let reserve = if available.is_some() { stated } else { stated.min(1 << 20) };
         let mut payload = Vec::with_capacity(usize::try_from(reserve).unwrap_or(0));
         let read = self.source.by_ref().take(stated).read_to_end(&mut payload)? as u64;
@@ -112,7 +112,7 @@ impl FrameReader {
     }
 }
 
-/// The beginning of a file: text as it stands there, other bytes in hexadecimal.
+/// The beginning of a file for messages: text as it is, other bytes in hexadecimal.
 fn shown(start: &[u8]) -> String {
     match std::str::from_utf8(start) {
         Ok(text) if !text.contains(|c: char| c.is_control() && !c.is_whitespace()) => {
@@ -122,7 +122,7 @@ fn shown(start: &[u8]) -> String {
     }
 }
 
-/// Fills `buffer` as far as the source reaches; returns how far.
+/// Fills `buffer` until the source ends; returns the number of bytes read.
 fn read_up_to(source: &mut dyn Read, buffer: &mut [u8]) -> io::Result<usize> {
     let mut filled = 0;
     while let Some(rest) = buffer.get_mut(filled..).filter(|r| !r.is_empty()) {

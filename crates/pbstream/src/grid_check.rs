@@ -1,20 +1,20 @@
-//! Whether grids are what they say they are.
+//! Checks whether grids are valid, and repairs them.
 
 use crate::codes::without_marker;
 use crate::proto::mapping::grid2_d::{CellBox, Grid};
 use crate::proto::mapping::{Grid2D, HybridGrid};
 
-/// Indices of voxels must lie within this on both sides of zero.
+/// Bound of the absolute value of voxel indices.
 const MAX_VOXEL_INDEX: i32 = 8192;
 
-/// What is wrong with a grid.
+/// Problems of a grid.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct GridReport {
-    /// The grid cannot be used: why.
+    /// Why the grid cannot be used; none if it can.
     pub broken: Option<String>,
     /// Cells whose value is not 0 to 32767, or whose index is out of range.
     pub bad_cells: usize,
-    /// The box of known cells does not lie in the grid.
+    /// The box of known cells is not inside the grid.
     pub bad_box: bool,
 }
 
@@ -23,7 +23,7 @@ impl GridReport {
         Self { broken: Some(text), ..Self::default() }
     }
 
-    /// Whether nothing was found.
+    /// Whether there are no problems.
     pub fn is_good(&self) -> bool {
         *self == Self::default()
     }
@@ -78,7 +78,7 @@ pub fn check_grid_2d(grid: &Grid2D) -> GridReport {
     GridReport { broken: None, bad_cells, bad_box }
 }
 
-/// An inverted box is how an empty one is written.
+/// Whether the box of known cells is inside the grid. An inverted box is the encoding of an empty one.
 fn fits(known: &CellBox, columns: i32, rows: i32) -> bool {
     let inverted = known.min_x > known.max_x || known.min_y > known.max_y;
     inverted || (known.min_x >= 0 && known.min_y >= 0 && known.max_x < columns && known.max_y < rows)
@@ -107,8 +107,8 @@ fn is_bad_voxel(grid: &HybridGrid, i: usize) -> bool {
     !inside || grid.values.get(i).is_none_or(|v| is_bad(*v))
 }
 
-/// Takes markers away, makes impossible cells unknown and finds the box of known cells anew. The sizes
-/// must be right.
+/// Removes update markers, sets invalid cells to unknown and computes the box of known cells again. The sizes
+/// must be valid.
 pub fn mend_grid_2d(grid: &mut Grid2D) {
     let mend = |cells: &mut Vec<i32>| {
         cells
@@ -134,7 +134,7 @@ pub fn mend_grid_2d(grid: &mut Grid2D) {
     grid.known_cells_box = known;
 }
 
-/// Leaves out voxels that cannot be. The sizes must be right.
+/// Removes invalid voxels. The sizes must be valid.
 pub fn mend_hybrid_grid(grid: &mut HybridGrid) {
     let keep: Vec<bool> = (0..grid.values.len()).map(|i| !is_bad_voxel(grid, i)).collect();
     for values in [&mut grid.x_indices, &mut grid.y_indices, &mut grid.z_indices, &mut grid.values] {

@@ -1,4 +1,5 @@
-//! One gzip stream (RFC 1952) for one record, with bounds and without allocating codec states anew.
+//! Compresses each record to one gzip stream (RFC 1952) and decompresses it, with limits, and without
+//! allocating the state of the codec for each record.
 
 use std::cell::RefCell;
 use std::io;
@@ -8,14 +9,14 @@ use flate2::{Compress, Compression, Decompress, FlushCompress, FlushDecompress, 
 /// Deflate cannot shrink data by more than this factor.
 const MAX_DEFLATE_RATIO: usize = 1032;
 
-/// So few bytes, those of an IMU sample, hardly shrink; to make a compressor ready for them takes far longer than
-/// anything else that happens to them.
+/// Maximum size of data that are stored without compression, bytes. Data this short (an IMU sample) hardly
+/// shrink, and resetting a compressor takes far longer than everything else that is done with them.
 const MOST_STORED: usize = 128;
 
-/// As other writers of pbstream files do: no name, no time, "fastest", unknown system.
+/// The same header as other writers of pbstream files use: no name, no time, "fastest", unknown system.
 const HEADER: [u8; 10] = [0x1f, 0x8b, 8, 0, 0, 0, 0, 0, 4, 0xff];
 
-/// Why a record could not be unpacked.
+/// Why a record could not be decompressed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum GzipError {
     /// The magic bytes, the method or the flags are not those of gzip.
@@ -27,10 +28,10 @@ pub enum GzipError {
     /// The compressed bytes are not valid deflate data.
     #[error("the compressed data are damaged")]
     Damaged,
-    /// The unpacked data do not have the checksum or the length stated after them.
+    /// The decompressed data do not have the checksum or the length stated after them.
     #[error("checksum or length of the unpacked data is wrong: the file is damaged")]
     Checksum,
-    /// The record unpacks to more than the limit.
+    /// The record decompresses to more than the limit.
     #[error("the record unpacks to more than the limit of {limit} bytes")]
     TooLarge {
         /// The limit in bytes.
@@ -40,12 +41,12 @@ pub enum GzipError {
 
 thread_local! {
     static INFLATE: RefCell<Decompress> = RefCell::new(Decompress::new(false));
-    // Level 1 is what the format's other writers use ("best speed").
+    // Level 1 ("best speed"), as in other writers of the format.
     static DEFLATE: RefCell<Compress> = RefCell::new(Compress::new(Compression::new(1), false));
 }
 
-/// Unpacks a gzip stream of one or more members; stops with [`GzipError::TooLarge`] when the result
-/// would exceed `limit` bytes. Memory never exceeds the limit, whatever the stream claims.
+/// Decompresses a gzip stream of one or more members; stops with [`GzipError::TooLarge`] when the result
+/// would exceed `limit` bytes. Memory never exceeds the limit, whatever size the stream states.
 pub fn gunzip(mut input: &[u8], limit: usize) -> Result<Vec<u8>, GzipError> {
     let mut output = Vec::with_capacity(expected_size(input, limit));
     loop {
@@ -64,8 +65,8 @@ pub fn gunzip(mut input: &[u8], limit: usize) -> Result<Vec<u8>, GzipError> {
     }
 }
 
-/// Packs `data` as one gzip stream, always the same bytes for the same data. There is no error unless
-/// the compressor itself is broken.
+/// Compresses `data` to one gzip stream. The same data always give the same bytes. An error means that the
+/// compressor itself is broken.
 pub fn gzip(data: &[u8]) -> io::Result<Vec<u8>> {
     let mut output = Vec::new();
     gzip_into(data, &mut output)?;
@@ -74,7 +75,7 @@ pub fn gzip(data: &[u8]) -> io::Result<Vec<u8>> {
 
 /// [`gzip`], appended to `output`.
 pub fn gzip_into(data: &[u8], output: &mut Vec<u8>) -> io::Result<()> {
-    // Room for stored blocks, so that deflating is one call in nearly every case.
+    // Space for stored blocks, so that deflating almost always takes one call.
     output.reserve(data.len() / 2 + 64);
     output.extend_from_slice(&HEADER);
     match data.len() <= MOST_STORED {
@@ -85,7 +86,7 @@ pub fn gzip_into(data: &[u8], output: &mut Vec<u8>) -> io::Result<()> {
     Ok(())
 }
 
-/// One last block of data as they are (RFC 1951, 3.2.4).
+/// Writes the data as one last stored block (RFC 1951, 3.2.4).
 fn store(data: &[u8], output: &mut Vec<u8>) {
     let length = data.len() as u16;
     output.push(1);
@@ -113,10 +114,10 @@ fn deflate(data: &[u8], output: &mut Vec<u8>) -> io::Result<()> {
     })
 }
 
-/// How much to reserve: what the stream's own length field says, as far as it can be believed.
+/// Size to reserve: the stream's own length field, limited to plausible values.
 fn expected_size(input: &[u8], limit: usize) -> usize {
     let stated = input.last_chunk::<4>().map_or(0, |b| u32::from_le_bytes(*b) as usize);
-    // A claim beyond 64:1 is possible but rare; then the output grows as it comes.
+    // A ratio above 64:1 is possible but rare; then the output grows as it is written.
     stated.min(input.len().saturating_mul(64)).min(limit)
 }
 
@@ -150,7 +151,7 @@ fn skip_header(input: &[u8]) -> Result<&[u8], GzipError> {
     Ok(rest)
 }
 
-/// Appends the inflated data to `output`; returns the input after the deflate stream.
+/// Decompresses the deflate stream and appends it to `output`; returns the input after the stream.
 fn inflate<'a>(input: &'a [u8], output: &mut Vec<u8>, limit: usize) -> Result<&'a [u8], GzipError> {
     INFLATE.with_borrow_mut(|inflate| {
         inflate.reset(false);
@@ -177,8 +178,8 @@ fn inflate<'a>(input: &'a [u8], output: &mut Vec<u8>, limit: usize) -> Result<&'
     })
 }
 
-/// Doubles the room for output, up to one byte more than the limit (which tells a full record from
-/// one that is too large).
+/// Doubles the space for output, up to one byte more than the limit, so that a record of exactly the limit
+/// can be distinguished from one that is too large.
 fn grow(output: &mut Vec<u8>, input_length: usize, limit: usize) -> Result<(), GzipError> {
     let most = limit.min(output.len().saturating_add(input_length.saturating_mul(MAX_DEFLATE_RATIO)));
     let wanted = output.capacity().saturating_mul(2).max(4096).min(most.saturating_add(1));

@@ -1,4 +1,4 @@
-//! Reading a map: the header, the pose graph and the options at once, everything else one by one.
+//! Reads a map: the header, the pose graph and the options at once, all other messages one by one.
 
 use std::io::Read;
 use std::path::Path;
@@ -10,19 +10,19 @@ use crate::proto::mapping::serialized_data::Data;
 use crate::proto::mapping::{AllTrajectoryBuilderOptions, PoseGraph, SerializationHeader};
 use crate::reader::{DECODE, DECODE_SUMMARY, Decoded, ReadLimits, Records, Step, open_frames};
 
-/// Messages that were left out while reading, because nothing can be done with them.
+/// Numbers of messages that were skipped while reading, because they cannot be used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct IgnoredMessages {
     /// A second pose graph.
     pub pose_graphs: u64,
-    /// Options for a second time.
+    /// A second set of options.
     pub options: u64,
-    /// Kinds that are not known here.
+    /// Messages of unknown kinds.
     pub unknown: u64,
 }
 
-/// Reads a map in the order of the format: header, pose graph and options are there after opening, the
-/// other messages follow one by one, decoded ahead on all cores.
+/// Reads a map in the order of the format: header, pose graph and options are available after opening, the
+/// other messages follow one by one. They are decoded ahead on all cores.
 pub struct MapReader {
     header: SerializationHeader,
     pose_graph: PoseGraph,
@@ -38,20 +38,19 @@ pub struct MapMessage {
     pub index: u64,
     /// Position of the record in the file.
     pub offset: u64,
-    /// Bytes of the message when it is unpacked.
+    /// Size of the uncompressed message, bytes.
     pub size: usize,
-    /// Cells of a 2D grid that were counted and left out; see [`MapReader::open_for_summary`].
+    /// Number of cells of a 2D grid that were counted but not decoded; see [`MapReader::open_for_summary`].
     pub cells: u64,
-    /// The content: never a pose graph or options.
+    /// The content; never a pose graph or options.
     pub data: Data,
 }
 
 impl MapReader {
     /// Opens a map with the default limits.
     ///
-    /// # Errors
-    /// If the file is no pbstream, has an unknown version or is damaged, or if pose graph or options are missing,
-    /// out of order or not for the same number of trajectories.
+    /// If the file is not a pbstream, has an unknown version or is damaged, or if pose graph or options are
+    /// missing, out of order or not for the same number of trajectories.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, PbstreamError> {
         Self::open_with(path, ReadLimits::default())
     }
@@ -64,8 +63,8 @@ impl MapReader {
         Self::start(open_frames(path.as_ref(), limits)?, limits, DECODE)
     }
 
-    /// Opens a map for a summary in little memory: submaps come without the cells of their 2D grids, nodes
-    /// without their content.
+    /// Opens a map for a summary with little memory: submaps have no cells in their 2D grids, nodes have no
+    /// content.
     ///
     /// # Errors
     /// As for [`MapReader::open`].
@@ -142,7 +141,7 @@ impl MapReader {
         &self.pose_graph
     }
 
-    /// The second message for oneself; the reader has an empty one afterwards.
+    /// Takes the pose graph out of the reader, which has an empty one afterwards.
     pub fn take_pose_graph(&mut self) -> PoseGraph {
         std::mem::take(&mut self.pose_graph)
     }
@@ -152,14 +151,14 @@ impl MapReader {
         &self.options
     }
 
-    /// What the map was made with, as JSON; empty unless Portolan made it.
+    /// The configuration that the map was made with, as JSON; empty unless Portolan made it.
     pub fn configuration(&self) -> &str {
         let in_options = &self.options.portolan_configuration;
         if in_options.is_empty() { &self.header.portolan_configuration } else { in_options }
     }
 
-    /// The next message after those three, or nothing at the end. Further pose graphs, options and
-    /// unknown kinds are left out and counted in [`MapReader::ignored`].
+    /// The next message after the first three, or none at the end. Further pose graphs, options and unknown
+    /// kinds are skipped and counted in [`MapReader::ignored`].
     ///
     /// # Errors
     /// If the source cannot be read, or the next message is damaged or larger than the limits.
@@ -195,23 +194,23 @@ impl MapReader {
         Ok(None)
     }
 
-    /// What was left out so far.
+    /// Numbers of messages that were skipped so far.
     pub fn ignored(&self) -> IgnoredMessages {
         self.ignored
     }
 
-    /// Bytes read from the file so far (some ahead of the messages handed out), for progress.
+    /// Bytes read from the file so far, including messages that were read ahead; for progress.
     pub fn bytes_read(&self) -> u64 {
         self.records.bytes_read()
     }
 
-    /// The length of the file, where it is known.
+    /// The length of the file, if known.
     pub fn length(&self) -> Option<u64> {
         self.records.length()
     }
 }
 
-/// Versions 1 and 2 are known.
+/// Rejects all versions except 1 and 2.
 pub(crate) fn check_version(header: &SerializationHeader) -> Result<(), PbstreamError> {
     match header.format_version {
         1 | 2 => Ok(()),

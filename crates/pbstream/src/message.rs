@@ -8,14 +8,14 @@ use crate::proto::mapping::serialized_data::Data;
 use crate::proto::mapping::{SerializationHeader, SerializedData};
 use crate::wire::Fields;
 
-/// One message as bytes. The layer beneath the decoded messages: what is unknown here survives.
+/// One message as bytes. This layer below the decoded messages keeps everything that is unknown here.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RawMessage {
     /// Number of the record; the header is 0.
     pub index: u64,
     /// Position of the record in the file.
     pub offset: u64,
-    /// The serialised message, unpacked.
+    /// The serialised message, uncompressed.
     pub bytes: Vec<u8>,
 }
 
@@ -26,11 +26,11 @@ pub enum Message {
     Header(SerializationHeader),
     /// A message of a known kind.
     Data(Box<Data>),
-    /// A message of a kind that is not known; the number is its field tag, 0 where it is empty.
+    /// A message of an unknown kind; the number is its field tag, 0 if the message is empty.
     Unknown(u32),
 }
 
-/// What a message is.
+/// Kind of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum MessageKind {
     /// The first message of a file.
@@ -43,7 +43,7 @@ pub enum MessageKind {
     Submap,
     /// A node with its point clouds.
     Node,
-    /// What was estimated for a trajectory.
+    /// Estimates for a trajectory.
     TrajectoryData,
     /// An IMU sample.
     ImuData,
@@ -53,12 +53,12 @@ pub enum MessageKind {
     FixedFramePoseData,
     /// A landmark observation.
     LandmarkData,
-    /// Something else: the field tag, 0 where there is none.
+    /// Another kind: the field tag, 0 if there is none.
     Unknown(u32),
 }
 
 impl MessageKind {
-    /// The kind behind a field tag of `SerializedData`.
+    /// The kind with this field tag in `SerializedData`.
     pub fn from_tag(tag: u32) -> Self {
         match tag {
             1 => Self::PoseGraph,
@@ -74,7 +74,7 @@ impl MessageKind {
         }
     }
 
-    /// The field tag in `SerializedData`; none for the header.
+    /// The field tag in `SerializedData`; 0 for the header.
     pub fn tag(self) -> u32 {
         match self {
             Self::Header => 0,
@@ -91,7 +91,7 @@ impl MessageKind {
         }
     }
 
-    /// The name as tools print it: that of the field.
+    /// The name as tools print it: the name of the field.
     pub fn name(self) -> &'static str {
         match self {
             Self::Header => "header",
@@ -110,8 +110,8 @@ impl MessageKind {
 }
 
 impl RawMessage {
-    /// What the message is, without decoding it. Where several kinds are present the last known one
-    /// counts, as protobuf has it.
+    /// The kind of the message, without decoding it. If several kinds are present, the last known one counts,
+    /// as in protobuf.
     pub fn kind(&self) -> MessageKind {
         if self.index == 0 {
             return MessageKind::Header;
@@ -129,7 +129,7 @@ impl RawMessage {
     /// Decodes the message.
     ///
     /// # Errors
-    /// If it is not a message, or would need far more memory than it has bytes.
+    /// If it is not a valid message, or would need far more memory than it has bytes.
     pub fn decode(&self) -> Result<Message, RecordError> {
         if self.index == 0 {
             return Ok(SerializationHeader::decode(&*self.bytes).map(Message::Header)?);
@@ -141,7 +141,7 @@ impl RawMessage {
     }
 }
 
-/// Decodes any message but the header; none where its kind is not known.
+/// Decodes any message except the header; none if its kind is unknown.
 pub fn decode_data(bytes: &[u8]) -> Result<Option<Data>, RecordError> {
     let needed = decoded_size(bytes);
     if needed > MAX_DECODED_BYTES {
@@ -151,7 +151,7 @@ pub fn decode_data(bytes: &[u8]) -> Result<Option<Data>, RecordError> {
 }
 
 impl Message {
-    /// What the message is.
+    /// The kind of the message.
     pub fn kind(&self) -> MessageKind {
         match self {
             Self::Header(_) => MessageKind::Header,

@@ -1,12 +1,12 @@
-//! Work done on other cores whose results come back in the order in which it was handed in.
+//! Runs jobs on other cores and returns their results in the order in which the jobs were added.
 
 use std::collections::VecDeque;
 use std::mem;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
-/// A queue of jobs. Threads of the rayon pool take jobs when they are free; who asks for a result that
-/// nobody has begun does the work itself. So there is no deadlock when the pool is busy or the caller
-/// is one of its threads, and the results do not depend on the number of threads.
+/// A queue of jobs. Free threads of the rayon pool take jobs. A caller that asks for a result whose job has
+/// not been started does the job itself. So there is no deadlock when the pool is busy or the caller is one
+/// of its threads, and the results do not depend on the number of threads.
 pub struct OrderedWorkers<I, O> {
     jobs: VecDeque<Arc<Job<I, O>>>,
     work: Arc<dyn Fn(I) -> O + Send + Sync>,
@@ -30,7 +30,7 @@ impl<I: Send + 'static, O: Send + 'static> OrderedWorkers<I, O> {
         Self { jobs: VecDeque::new(), work: Arc::new(work) }
     }
 
-    /// Hands in a job. The caller bounds the number of jobs in flight.
+    /// Adds a job. The caller bounds the number of jobs in flight.
     pub fn push(&mut self, input: I) {
         let job = Arc::new(Job { state: Mutex::new(State::Waiting(input)), finished: Condvar::new() });
         self.jobs.push_back(Arc::clone(&job));
@@ -38,12 +38,12 @@ impl<I: Send + 'static, O: Send + 'static> OrderedWorkers<I, O> {
         rayon::spawn(move || job.run(&*work));
     }
 
-    /// How many jobs were handed in whose results were not taken.
+    /// Number of jobs whose results were not taken yet.
     pub fn len(&self) -> usize {
         self.jobs.len()
     }
 
-    /// The result of the oldest job; waits for it or does it.
+    /// The result of the oldest job; waits for the job or does it.
     pub fn pop(&mut self) -> Option<O> {
         let job = self.jobs.pop_front()?;
         job.run(&*self.work);
@@ -63,7 +63,7 @@ impl<I, O> Job<I, O> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Does the job unless somebody else has begun it.
+    /// Does the job unless another thread has started it.
     fn run(&self, work: &(dyn Fn(I) -> O + Send + Sync)) {
         let input = {
             let mut state = self.lock();
@@ -82,7 +82,7 @@ impl<I, O> Job<I, O> {
 }
 
 impl<I, O> Drop for OrderedWorkers<I, O> {
-    /// Jobs that nobody has begun are not worth doing any more.
+    /// Jobs that were not started are cancelled.
     fn drop(&mut self) {
         for job in &self.jobs {
             let mut state = job.lock();

@@ -11,10 +11,10 @@ const PRECISION: f32 = 0.001;
 /// Bits of a coordinate within a block.
 const BITS: u32 = 10;
 const MASK: i32 = (1 << BITS) - 1;
-/// Coordinates of 2²³ cells and more (8388 m) cannot be stored.
+/// Smallest cell index that cannot be stored: 2²³ cells (8388 m).
 const MAX_CELL: f32 = 8_388_608.0;
 
-/// Why a cloud could not be packed or unpacked.
+/// Why a cloud could not be compressed or decompressed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PointCloudError {
     /// A coordinate is not finite or beyond 8388 m.
@@ -37,13 +37,13 @@ pub enum PointCloudError {
         /// Points found.
         found: usize,
     },
-    /// A block says it has a negative number of points.
+    /// A block states a negative number of points.
     #[error("the compressed cloud has a block of {0} points")]
     BlockSize(i32),
 }
 
-/// Packs points; off by at most half a millimetre in each coordinate. The points come back in the order
-/// of their blocks, not in that of `points`.
+/// Compresses points, with an error of at most half a millimetre in each coordinate. The points come back in
+/// the order of their blocks, not in that of `points`.
 ///
 /// # Errors
 /// If a point is beyond the bounds of the format.
@@ -70,12 +70,13 @@ pub fn compress(points: &[Point3f]) -> Result<CompressedPointCloud, PointCloudEr
     Ok(CompressedPointCloud { num_points: points.len() as i32, point_data })
 }
 
-/// Blocks are written in the order of a three-level grid, z before y before x on each level.
+/// Sort key of blocks: the order of a three-level grid, z before y before x on each level.
 fn block_order([x, y, z]: [i32; 3]) -> [i32; 9] {
     [z >> 6, y >> 6, x >> 6, z >> 3 & 7, y >> 3 & 7, x >> 3 & 7, z & 7, y & 7, x & 7]
 }
 
-/// Unpacks points, metres. The message is checked; memory stays below twelve bytes for each number in it.
+/// Decompresses points, metres. The message is validated; memory stays below twelve bytes for each number in
+/// it.
 ///
 /// # Errors
 /// If the message is damaged.
@@ -103,7 +104,7 @@ pub fn decompress(cloud: &CompressedPointCloud) -> Result<Vec<Point3f>, PointClo
 }
 
 #[cfg(test)]
-// Golden values are written as they were printed.
+// Golden values keep the digits that were printed.
 #[allow(clippy::excessive_precision)]
 mod tests {
     use super::*;

@@ -1,25 +1,25 @@
-//! Poses and identities between messages and our types.
+//! Converts poses and ids between messages and our types.
 
 use portolan_geometry::{Rigid3, pose_from_xyz_quaternion};
 
 use crate::proto::mapping::{NodeId, PoseGraph, SubmapId};
 use crate::proto::transform::{Quaterniond, Rigid3d, Vector3d};
 
-/// `(trajectory id, index)` of a submap or a node as it stands in a file.
+/// `(trajectory id, index)` of a submap or a node in a file.
 pub type IdInFile = (i32, i32);
 
-/// The id of a submap; an absent one is (0, 0), as protobuf has it.
+/// The id of a submap; a missing one is (0, 0), as in protobuf.
 pub fn submap_id(id: Option<&SubmapId>) -> IdInFile {
     id.map_or((0, 0), |id| (id.trajectory_id, id.submap_index))
 }
 
-/// The id of a node; an absent one is (0, 0), as protobuf has it.
+/// The id of a node; a missing one is (0, 0), as in protobuf.
 pub fn node_id(id: Option<&NodeId>) -> IdInFile {
     id.map_or((0, 0), |id| (id.trajectory_id, id.node_index))
 }
 
-/// A pose from its message. None where it, or a part of it, is missing, not finite, or no rotation (norm
-/// of the quaternion off by 1e-3).
+/// Reads a pose from its message. None if it, or a part of it, is missing, not finite, or not a rotation
+/// (norm of the quaternion off by more than 1e-3).
 pub fn pose_from_proto(pose: Option<&Rigid3d>) -> Option<Rigid3> {
     let pose = pose?;
     let t = pose.translation.unwrap_or_default();

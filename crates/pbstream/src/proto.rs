@@ -1,7 +1,7 @@
 //! The protobuf messages of maps, generated from `proto/` (`spec: formats.md §3, §3a`).
 //!
-//! One module for each protobuf package: `cartographer.mapping.proto` is [`mapping`]. Field names, units
-//! and frames are explained in the `.proto` files.
+//! One module for each protobuf package: `cartographer.mapping.proto` is [`mapping`]. Field names, units and
+//! frames are explained in the `.proto` files.
 
 #[allow(missing_docs, deprecated, clippy::all, clippy::pedantic, rustdoc::all)]
 mod generated {

@@ -1,4 +1,4 @@
-//! Reading a pbstream message by message, unpacking ahead on all cores.
+//! Reads a pbstream message by message and decompresses ahead on all cores.
 
 use std::collections::VecDeque;
 use std::io::Read;
@@ -14,25 +14,26 @@ use crate::message::{Message, MessageKind, RawMessage};
 use crate::ordered::OrderedWorkers;
 use crate::proto::mapping::serialized_data::Data;
 
-/// A batch of records is unpacked as one job; smaller jobs cost more than they gain.
+/// Size limits of a batch of records, which is decompressed as one job; smaller jobs have more overhead than
+/// gain.
 const BATCH_BYTES: usize = 128 << 10;
 const BATCH_RECORDS: usize = 512;
-/// How much may be under way: two batches for each core, eight at most, and 4 MiB of compressed data.
+/// Limits on read-ahead: two batches for each core, at most eight, and 4 MiB of compressed data.
 const MAX_BATCHES: usize = 8;
 const MAX_AHEAD_BYTES: usize = 4 << 20;
-/// What a batch may unpack to ahead of its turn; what is larger waits until it is asked for. So read-ahead
-/// never holds more than eight times this, even where every record is a gzip bomb.
+/// Maximum decompressed size of a batch that is read ahead, bytes; larger records are decompressed when they
+/// are requested. So read-ahead never holds more than eight times this, even if every record is a gzip bomb.
 const MAX_BATCH_UNPACKED: usize = 8 << 20;
-/// The same for what its messages take in memory when they are decoded.
+/// The same limit for the memory of its decoded messages, bytes.
 const MAX_BATCH_DECODED: u64 = 32 << 20;
 
-/// Bounds on what a file may make the reader allocate.
+/// Limits on the memory that a file can make the reader allocate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReadLimits {
-    /// Largest record as it stands in the file, bytes.
+    /// Maximum size of a record in the file, bytes.
     pub max_compressed_bytes: u64,
-    /// Largest message after unpacking, bytes. 512 MiB are the pose graph of a map with some millions of
-    /// constraints, or a grid with 100 million cells.
+    /// Maximum size of an uncompressed message, bytes. 512 MiB hold the pose graph of a map with some
+    /// millions of constraints, or a grid with 100 million cells.
     pub max_message_bytes: usize,
 }
 
@@ -42,11 +43,11 @@ impl Default for ReadLimits {
     }
 }
 
-/// Reads the messages of a pbstream one by one, as bytes: nothing is lost, not even fields and messages
-/// that are unknown here.
+/// Reads the messages of a pbstream one by one, as bytes. Nothing is lost, not even unknown fields and
+/// messages.
 ///
-/// An error within one record (damaged compression) does not end the iteration: the records after it
-/// follow. Where the file is cut off the error is the last item.
+/// An error within one record (damaged compression) does not end the iteration: the records after it follow.
+/// If the file is cut off, the error is the last item.
 pub struct PbstreamReader {
     records: Records<RawMessage>,
 }
@@ -63,7 +64,7 @@ impl PbstreamReader {
     /// Opens a file.
     ///
     /// # Errors
-    /// If the file is missing, cannot be read, or is no pbstream.
+    /// If the file is missing, cannot be read, or is not a pbstream.
     pub fn open_with(path: impl AsRef<Path>, limits: ReadLimits) -> Result<Self, PbstreamError> {
         Ok(Self { records: Records::new(open_frames(path.as_ref(), limits)?, limits, RAW) })
     }
@@ -71,7 +72,7 @@ impl PbstreamReader {
     /// Reads from any source; `length` is its whole length in bytes if it is known.
     ///
     /// # Errors
-    /// If the source cannot be read, or is no pbstream.
+    /// If the source cannot be read, or is not a pbstream.
     pub fn from_source(
         source: impl Read + Send + 'static,
         length: Option<u64>,
@@ -81,7 +82,7 @@ impl PbstreamReader {
         Ok(Self { records: Records::new(frames, limits, RAW) })
     }
 
-    /// The next message, or nothing at the end.
+    /// The next message, or none at the end.
     ///
     /// # Errors
     /// If the source cannot be read, or the next message is damaged or larger than the limits.
@@ -89,12 +90,12 @@ impl PbstreamReader {
         self.records.next_record()
     }
 
-    /// Bytes read from the file so far (some ahead of the messages handed out), for progress.
+    /// Bytes read from the file so far, including messages that were read ahead; for progress.
     pub fn bytes_read(&self) -> u64 {
         self.records.bytes_read()
     }
 
-    /// The length of the file, where it is known.
+    /// The length of the file, if known.
     pub fn length(&self) -> Option<u64> {
         self.records.length()
     }
@@ -116,7 +117,7 @@ pub(crate) fn open_frames(path: &Path, limits: ReadLimits) -> Result<FrameReader
     FrameReader::new(Box::new(input), length, limits.max_compressed_bytes)
 }
 
-/// Refuses pipes where a map is read more than once.
+/// Rejects pipes where a map must be read more than once.
 ///
 /// # Errors
 /// If it is a pipe, or cannot be opened.
@@ -125,18 +126,18 @@ pub fn must_be_a_file(path: &Path) -> Result<(), PbstreamError> {
     opened.map_err(|source| PbstreamError::Open { path: path.to_owned(), source })
 }
 
-/// A message, without its bytes.
+/// A decoded message.
 pub(crate) struct Decoded {
     pub index: u64,
     pub offset: u64,
-    /// Bytes of the unpacked message.
+    /// Size of the uncompressed message, bytes.
     pub size: usize,
-    /// Cells that were left out.
+    /// Number of cells that were not decoded.
     pub cells: u64,
     pub message: Message,
 }
 
-/// What is done with an unpacked record, and how much memory the result takes.
+/// A processing step for decompressed records, and the memory that its result takes, bytes.
 pub(crate) struct Step<T> {
     run: fn(RawMessage) -> Unpacked<T>,
     size: fn(&RawMessage) -> u64,
@@ -150,12 +151,11 @@ impl<T> Clone for Step<T> {
 
 impl<T> Copy for Step<T> {}
 
-/// Messages as they are.
+/// Returns messages as bytes.
 const RAW: Step<RawMessage> = Step { run: Ok, size: |raw| raw.bytes.len() as u64 };
-/// Messages decoded.
+/// Decodes messages.
 pub(crate) const DECODE: Step<Decoded> = Step { run: decode, size: |raw| decoded_size(&raw.bytes) };
-/// Messages decoded for summaries: 2D grids come without their cells, which are counted only, and nodes without
-/// their content.
+/// Decodes messages for summaries: cells of 2D grids are only counted, and nodes have no content.
 pub(crate) const DECODE_SUMMARY: Step<Decoded> = Step {
     run: decode_summary,
     size: |raw| match raw.kind() {
@@ -164,7 +164,7 @@ pub(crate) const DECODE_SUMMARY: Step<Decoded> = Step {
     },
 };
 
-/// Decodes a message; the error says which.
+/// Decodes a message; an error names the message.
 fn decode(raw: RawMessage) -> Result<Decoded, PbstreamError> {
     let RawMessage { index, offset, ref bytes } = raw;
     match raw.decode() {
@@ -191,7 +191,7 @@ fn decode_summary(mut raw: RawMessage) -> Result<Decoded, PbstreamError> {
 
 type Unpacked<T> = Result<T, PbstreamError>;
 
-/// Records unpacked, and turned into something by `step`, ahead of being asked for.
+/// Reads records ahead: they are decompressed and processed by `step` before they are requested.
 pub(crate) struct Records<T> {
     frames: FrameReader,
     limits: ReadLimits,
@@ -199,15 +199,15 @@ pub(crate) struct Records<T> {
     max_batches: usize,
     workers: OrderedWorkers<Vec<Frame>, Vec<Ahead<T>>>,
     ready: VecDeque<Ahead<T>>,
-    /// Compressed sizes of the batches under way.
+    /// Compressed sizes of the batches in flight, bytes.
     under_way: VecDeque<usize>,
-    /// The end of the file, or an error, behind everything under way.
+    /// The end of the file, or an error, after all batches in flight.
     end: Option<Result<(), PbstreamError>>,
 }
 
 enum Ahead<T> {
     Done(Unpacked<T>),
-    /// Too large to unpack before its turn.
+    /// Too large to decompress ahead; decompressed when it is requested.
     Later(Frame),
 }
 
@@ -240,7 +240,7 @@ impl<T: Send + 'static> Records<T> {
             self.under_way.pop_front();
             match self.workers.pop() {
                 Some(batch) => self.ready = batch.into(),
-                // The error is reported once; after it comes the end.
+                // The error is reported once; the next call returns the end.
                 None => {
                     return match self.end.replace(Ok(())) {
                         Some(Err(error)) => Err(error),

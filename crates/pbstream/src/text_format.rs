@@ -1,6 +1,6 @@
-//! Messages as protobuf text, as other programs print them (`tools.md §1.1`).
+//! Prints messages as protobuf text, as other programs do (`tools.md §1.1`).
 //!
-//! Works on the bytes with the names of the schema, so that fields unknown here are printed too.
+//! It works on the bytes with the names of the schema, so that fields unknown here are printed, too.
 
 use std::collections::HashMap;
 use std::fmt::{self, Write};
@@ -17,7 +17,7 @@ use crate::proto::DESCRIPTORS;
 use crate::proto::mapping::PoseGraph;
 use crate::wire::{Fields, WireValue, varint};
 
-/// Unknown data that look like messages within messages are not followed deeper.
+/// Maximum nesting of messages in unknown data that is followed.
 const MAX_DEPTH: usize = 32;
 
 /// `cartographer.mapping.proto.` and the name of the message.
@@ -32,7 +32,7 @@ struct Schema {
 struct Field {
     name: String,
     kind: Type,
-    /// Of messages and enums.
+    /// Type name of fields that are messages or enums.
     type_name: String,
 }
 
@@ -67,7 +67,7 @@ impl Schema {
     }
 }
 
-/// A serialised message as text, one field a line. `message_type` is the full name, for example
+/// A serialised message as text, one field per line. `message_type` is the full name, for example
 /// `cartographer.mapping.proto.PoseGraph`; fields that are not in the schema are printed by number.
 pub fn message_to_text(bytes: &[u8], message_type: &str) -> String {
     let mut text = String::new();
@@ -96,11 +96,11 @@ impl RawMessage {
         text
     }
 
-    /// Writes the message as protobuf text piece by piece; the text of a grid can be ten times as long as the
-    /// grid.
+    /// Writes the message as protobuf text piece by piece, because the text of a grid can be ten times as
+    /// long as the grid.
     ///
     /// # Errors
-    /// Those of the writer.
+    /// The errors of the writer.
     pub fn write_text(&self, text: &mut dyn Write) -> fmt::Result {
         let name = if self.index == 0 { "SerializationHeader" } else { "SerializedData" };
         print_message(&self.bytes, Some(&format!("{MAPPING}{name}")), 0, text)
@@ -115,7 +115,7 @@ fn print_message(
 ) -> fmt::Result {
     let known = message_type.and_then(|t| SCHEMA.messages.get(t));
     let mut fields: Vec<(u32, WireValue)> = Fields::new(bytes).map_while(Result::ok).collect();
-    // By number, unknown ones last.
+    // Sorted by number, with unknown fields last.
     fields.sort_by_key(|(number, _)| (!known.is_some_and(|k| k.contains_key(number)), *number));
     for (number, value) in fields {
         match known.and_then(|k| k.get(&number)) {
@@ -221,7 +221,7 @@ fn line(depth: usize, name: &str, value: &str, text: &mut dyn Write) -> fmt::Res
     writeln!(text, "{:indent$}{name}: {value}", "")
 }
 
-/// Fifteen digits, or seventeen where fifteen do not give the same number back.
+/// Formats with fifteen digits, or with seventeen if fifteen do not give the same number back.
 fn double(value: f64) -> String {
     let short = format_general(value, 15);
     if value.is_nan() || short.parse() == Ok(value) { short } else { format_general(value, 17) }

@@ -1,6 +1,7 @@
-//! Protobuf fields without a schema: to name the kind of a message and to print unknown fields.
+//! Reads and writes protobuf fields without a schema: to find the kind of a message and to print unknown
+//! fields.
 
-/// The content of one field as it stands on the wire.
+/// The content of one field, as encoded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum WireValue<'a> {
     /// Wire type 0.
@@ -70,8 +71,8 @@ impl<'a> Iterator for Fields<'a> {
     }
 }
 
-/// All content of the length-delimited fields of one number, one after the other: protobuf merges messages
-/// that are there several times by joining their bytes.
+/// All content of the length-delimited fields with one number, concatenated: protobuf merges repeated
+/// occurrences of a message by joining their bytes.
 pub fn joined(message: &[u8], number: u32) -> Vec<u8> {
     let mut joined = Vec::new();
     for (found, value) in Fields::new(message).map_while(Result::ok) {
@@ -82,7 +83,7 @@ pub fn joined(message: &[u8], number: u32) -> Vec<u8> {
     joined
 }
 
-/// The last variable-length number of a field; zero where there is none, as protobuf has it.
+/// The last variable-length number of a field; zero if there is none, as in protobuf.
 pub fn last_varint(message: &[u8], number: u32) -> u64 {
     let fields = Fields::new(message).map_while(Result::ok);
     let values = fields.filter_map(|(found, value)| match value {
@@ -92,7 +93,7 @@ pub fn last_varint(message: &[u8], number: u32) -> u64 {
     values.last().unwrap_or(0)
 }
 
-/// The message without all fields of one number; what is left is copied byte for byte.
+/// The message without the fields with one number; the rest is copied byte for byte.
 pub fn without_field(message: &[u8], number: u32) -> Vec<u8> {
     let mut kept = Vec::with_capacity(message.len());
     let mut fields = Fields::new(message);
@@ -115,7 +116,7 @@ pub fn put_varint(out: &mut Vec<u8>, mut value: u64) {
     out.push(value as u8);
 }
 
-/// Appends a field with a variable-length number; zero is written by leaving it out.
+/// Appends a field with a variable-length number; zero is encoded by omitting the field.
 pub fn put_varint_field(out: &mut Vec<u8>, number: u32, value: u64) {
     if value != 0 {
         put_varint(out, u64::from(number) << 3);

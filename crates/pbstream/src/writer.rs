@@ -1,4 +1,4 @@
-//! Writing a pbstream message by message, packing on all cores.
+//! Writes a pbstream message by message and compresses on all cores.
 
 use std::collections::VecDeque;
 use std::io::{self, Write};
@@ -18,23 +18,24 @@ use crate::proto::mapping::{SerializationHeader, SerializedData};
 /// The format version that is written.
 pub const FORMAT_VERSION: u32 = 2;
 
-/// Messages are packed in batches of about this many bytes; so much fits the caches, and small messages
-/// do not pay for their job.
+/// Approximate size of a batch of messages that are compressed together, bytes. A batch fits into the caches,
+/// and small messages share the overhead of a job.
 const BATCH_BYTES: usize = 256 << 10;
-/// How much may wait to be packed or written.
+/// Limits on batches that wait to be compressed or written: their number, and their size in bytes.
 const MAX_BATCHES: usize = 8;
 const MAX_WAITING_BYTES: usize = 32 << 20;
 
-/// Writes a pbstream: header first, then messages in the order in which they are handed in. Memory does
-/// not grow with the map, and the bytes do not depend on the number of threads.
+/// Writes a pbstream: header first, then messages in the order in which they are added. Memory does not grow
+/// with the map, and the bytes do not depend on the number of threads.
 ///
-/// The file appears when [`PbstreamWriter::finish`] succeeds; dropped without that it leaves nothing.
+/// The file appears when [`PbstreamWriter::finish`] succeeds; if the writer is dropped before, no file
+/// remains.
 pub struct PbstreamWriter {
     output: Output,
     path: PathBuf,
     batch: Batch,
     workers: OrderedWorkers<Batch, io::Result<Vec<u8>>>,
-    /// Sizes of the batches under way.
+    /// Sizes of the batches in flight, bytes.
     under_way: VecDeque<usize>,
     messages: u64,
 }
@@ -44,29 +45,29 @@ enum Output {
     Other(Box<dyn Write + Send>),
 }
 
-/// Messages that are packed together.
+/// Messages that are compressed together.
 #[derive(Default)]
 struct Batch {
     items: Vec<Item>,
-    /// Short messages one after the other, so that a measurement takes no memory of its own from one thread to the
-    /// other.
+    /// Short messages, concatenated, so that a single measurement needs no allocation that is passed between
+    /// threads.
     short: Vec<u8>,
-    /// Of all messages, before they are packed.
+    /// Size of all messages before compression, bytes.
     bytes: usize,
 }
 
 enum Item {
-    /// So many bytes of the short messages.
+    /// Number of bytes in the buffer of short messages.
     Short(usize),
     Bytes(Vec<u8>),
     Message(Box<SerializedData>),
 }
 
-/// Messages of up to so many bytes are short.
+/// Maximum size of a short message, bytes.
 const MOST_SHORT: usize = 1024;
 
 impl PbstreamWriter {
-    /// Begins a file.
+    /// Starts a file.
     ///
     /// # Errors
     /// If the folder is missing or not writable.
@@ -77,7 +78,7 @@ impl PbstreamWriter {
         Self::start(Output::File(file), path.to_owned())
     }
 
-    /// Writes to anything; `name` is for error messages.
+    /// Writes to any sink; `name` is for error messages.
     ///
     /// # Errors
     /// If writing fails.
@@ -102,7 +103,7 @@ impl PbstreamWriter {
         })
     }
 
-    /// Writes the header that must be the first message; see [`FORMAT_VERSION`].
+    /// Writes the header, which must be the first message; see [`FORMAT_VERSION`].
     ///
     /// # Errors
     /// If writing fails.
@@ -128,7 +129,7 @@ impl PbstreamWriter {
         self.push(Item::Short(size), size)
     }
 
-    /// Writes one message as it is, header or other.
+    /// Writes one message, header or other, as it is.
     ///
     /// # Errors
     /// If writing fails.
@@ -137,12 +138,12 @@ impl PbstreamWriter {
         self.push(Item::Bytes(message), size)
     }
 
-    /// How many messages were handed in.
+    /// Number of messages added so far.
     pub fn messages(&self) -> u64 {
         self.messages
     }
 
-    /// Writes out everything and gives the file its name.
+    /// Writes all remaining messages and gives the file its name.
     ///
     /// # Errors
     /// If writing fails.
@@ -200,7 +201,7 @@ impl Output {
     }
 }
 
-/// The records of a batch as they stand in the file.
+/// Compresses a batch to records of the file.
 fn pack(batch: Batch) -> io::Result<Vec<u8>> {
     let mut records = Vec::new();
     let mut short = &batch.short[..];
@@ -218,12 +219,12 @@ fn pack(batch: Batch) -> io::Result<Vec<u8>> {
     Ok(records)
 }
 
-/// The error where bytes are missing that were put there before: rather no map than one with a gap.
+/// The error for missing bytes of a batch: the file is not written, because it would have a gap.
 fn incomplete() -> io::Error {
     io::Error::other("a message was lost before it was written; please report it")
 }
 
-/// Appends a message packed, behind the length of that.
+/// Appends a compressed message after its length.
 fn push_record(message: &[u8], records: &mut Vec<u8>) -> io::Result<()> {
     let length_at = records.len();
     records.extend_from_slice(&[0; 8]);

@@ -1,4 +1,5 @@
-//! How fast are clouds written and read? Two million points with intensity and time, by format.
+//! Measures the throughput of writing and reading clouds: two million points with intensity and time, by
+//! format.
 //!
 //! `cargo run --release -p portolan-pointcloud --example throughput`
 

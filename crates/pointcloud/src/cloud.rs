@@ -1,6 +1,6 @@
-//! Points in memory.
+//! Point clouds in memory.
 
-/// Which values points have besides their position.
+/// Values that points have besides their position.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Attributes {
     /// Whether they have an intensity.
@@ -11,21 +11,21 @@ pub struct Attributes {
     pub color: bool,
 }
 
-/// Positions in metres.
+/// Positions of points, metres.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Positions {
     /// In double precision.
     Double(Vec<[f64; 3]>),
-    /// In single precision, to be added to an offset: half the memory, exact to 8 µm within 100 m of it.
+    /// In single precision, relative to an offset: half the memory, exact to 8 µm within 100 m of it.
     Single {
-        /// Metres.
+        /// Position of the offset, metres.
         offset: [f64; 3],
-        /// Metres from the offset.
+        /// Positions relative to the offset, metres.
         values: Vec<[f32; 3]>,
     },
 }
 
-/// Points, as columns of their values.
+/// Points, stored as columns of their values.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PointCloud {
     positions: Positions,
@@ -42,12 +42,12 @@ impl Default for PointCloud {
 }
 
 impl PointCloud {
-    /// No points yet, in double precision.
+    /// An empty cloud in double precision.
     pub fn new(attributes: Attributes) -> Self {
         Self::with_positions(Positions::Double(Vec::new()), attributes)
     }
 
-    /// No points yet, in single precision about an offset (metres).
+    /// An empty cloud in single precision relative to an offset (metres).
     pub fn single(offset: [f64; 3], attributes: Attributes) -> Self {
         Self::with_positions(Positions::Single { offset, values: Vec::new() }, attributes)
     }
@@ -56,7 +56,7 @@ impl PointCloud {
         Self { positions, attributes, intensities: Vec::new(), times: Vec::new(), colors: Vec::new() }
     }
 
-    /// Adds a point; of intensity, time (seconds) and colour those are kept that the cloud has.
+    /// Adds a point; values of intensity, time (seconds) and colour are stored if the cloud has this attribute.
     pub fn push(&mut self, position: [f64; 3], intensity: f32, time: f64, color: [u8; 3]) {
         match &mut self.positions {
             Positions::Double(positions) => positions.push(position),
@@ -88,7 +88,7 @@ impl PointCloud {
         }
     }
 
-    /// Removes all points and says which values the next ones have; memory is kept.
+    /// Removes all points and sets the attributes of the next ones; memory is kept.
     pub fn reset(&mut self, attributes: Attributes) {
         match &mut self.positions {
             Positions::Double(positions) => positions.clear(),
@@ -100,7 +100,7 @@ impl PointCloud {
         self.colors.clear();
     }
 
-    /// How many points there are.
+    /// Number of points.
     pub fn len(&self) -> usize {
         match &self.positions {
             Positions::Double(positions) => positions.len(),
@@ -108,17 +108,17 @@ impl PointCloud {
         }
     }
 
-    /// Whether there is none.
+    /// Whether there are no points.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Which values points have.
+    /// Values that points have.
     pub fn attributes(&self) -> Attributes {
         self.attributes
     }
 
-    /// Position of a point, metres; not a number if there is no such point.
+    /// Position of a point, metres; NaN if there is no such point.
     #[inline]
     pub fn position(&self, index: usize) -> [f64; 3] {
         let position = match &self.positions {
@@ -136,17 +136,17 @@ impl PointCloud {
         &self.positions
     }
 
-    /// Intensity of a point, in the unit of its file; none if the cloud has none.
+    /// Intensity of a point, in the unit of its file; none if the cloud has no intensities.
     pub fn intensity(&self, index: usize) -> Option<f32> {
         self.intensities.get(index).copied()
     }
 
-    /// Time of a point, seconds; none if the cloud has none.
+    /// Time of a point, seconds; none if the cloud has no times.
     pub fn time(&self, index: usize) -> Option<f64> {
         self.times.get(index).copied()
     }
 
-    /// Red, green and blue of a point; none if the cloud has none.
+    /// Red, green and blue of a point; none if the cloud has no colours.
     pub fn color(&self, index: usize) -> Option<[u8; 3]> {
         self.colors.get(index).copied()
     }

@@ -1,4 +1,4 @@
-//! E57: all scans of a file, each placed by its pose.
+//! Reads all scans of E57 files, each transformed by its pose, and writes one scan.
 
 use std::io::{self, BufReader, ErrorKind::Interrupted, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -17,16 +17,16 @@ use crate::error::CloudError;
 use crate::format::{CloudReader, CloudWriter, Written};
 use crate::output::{Output, Spool, folder_of};
 
-/// What the reading thread sends.
+/// Messages of the reading thread.
 type Sent = Result<(PointCloud, u64), String>;
 
-/// Reads points on a thread of its own, because the library lends its reader to each scan.
+/// Reads points on its own thread, because each scan borrows the reader of the library.
 struct E57Points {
     path: PathBuf,
     attributes: Attributes,
     count: u64,
     batches: Receiver<Sent>,
-    /// Whether it ended without a panic.
+    /// Returns whether the thread ended without a panic.
     thread: Option<JoinHandle<bool>>,
     given: u64,
     issues: IssueLog,
@@ -77,7 +77,7 @@ pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
                 left_out += u64::from(!layout.push(&values, &mut batch));
                 if batch.len() >= BATCH_POINTS {
                     let full = std::mem::replace(&mut batch, PointCloud::new(attributes));
-                    // Nobody listens any more: the reader was dropped.
+                    // The receiver has been dropped.
                     if sender.send(Ok((full, std::mem::take(&mut left_out)))).is_err() {
                         return;
                     }
@@ -136,7 +136,7 @@ impl CloudReader for E57Points {
     }
 }
 
-/// Where the values of a scan are.
+/// Columns of the values of a scan.
 struct ScanLayout {
     /// x, y, z; or range, azimuth, elevation.
     position: [(usize, RecordDataType); 3],
@@ -185,7 +185,7 @@ impl ScanLayout {
         })
     }
 
-    /// Adds a point; whether its coordinates are valid.
+    /// Adds a point; returns whether its coordinates are valid.
     fn push(&self, values: &RawValues, out: &mut PointCloud) -> bool {
         let number = |(at, kind): &(usize, RecordDataType)| number(values.get(*at), kind);
         if let Some(RecordValue::Integer(1..)) = self.invalid.and_then(|at| values.get(at)) {
@@ -239,12 +239,12 @@ fn pose(scan: &Scan) -> Rigid3 {
     let Some(transform) = &scan.transform else { return Rigid3::identity() };
     let (q, t) = (&transform.rotation, &transform.translation);
     let q = na::Quaternion::new(q.w, q.x, q.y, q.z);
-    // A rotation of length zero is none.
+    // A quaternion of norm zero is not a rotation: the identity replaces it.
     let rotation = na::UnitQuaternion::try_new(q, 1e-9).unwrap_or_default();
     Rigid3::from_parts(na::Translation3::new(t.x, t.y, t.z), rotation)
 }
 
-/// Writes one scan. Points wait in a temporary file, because the library wants to see them at once.
+/// Writes one scan. Points are buffered in a temporary file, because the library takes them all at once.
 pub(crate) struct E57Writer {
     output: Output,
     attributes: Attributes,
@@ -255,7 +255,7 @@ pub(crate) struct E57Writer {
 
 impl E57Writer {
     /// # Errors
-    /// The file, or the temporary one for its points, cannot be made in the folder.
+    /// The file, or the temporary one for its points, cannot be created in the folder.
     pub fn create(path: &Path, attributes: Attributes) -> Result<Self, CloudError> {
         let output = Output::create(path)?;
         let folder = folder_of(path);
@@ -296,7 +296,7 @@ impl E57Writer {
     fn write_file(&mut self) -> Result<(), String> {
         let text = |error: e57::Error| error.to_string();
         let handle = Persistent(self.output.handle().map_err(|e| e.to_string())?);
-        // Names that are the same every time, so that the bytes are.
+        // Constant names, so that the same points give the same bytes.
         let mut file = e57::E57Writer::new(handle, "{portolan-file}").map_err(text)?;
         let prototype = self.prototype();
         let mut points = file.add_pointcloud("{portolan-points}", prototype).map_err(text)?;
@@ -323,7 +323,7 @@ impl E57Writer {
     }
 }
 
-/// A file that is read again after a signal, which the library does not do.
+/// A file whose reads are repeated after a signal; the library does not do that.
 struct Persistent<F>(F);
 
 impl<F: Read> Read for Persistent<F> {
@@ -353,7 +353,7 @@ impl<F: Seek> Seek for Persistent<F> {
     }
 }
 
-/// The values of a point as they stand in the spool.
+/// The values of a point from its bytes in the spool.
 fn values(bytes: &[u8], attributes: Attributes) -> RawValues {
     let mut rest = bytes;
     let mut take = |count: usize| {

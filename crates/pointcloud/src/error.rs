@@ -1,4 +1,4 @@
-//! What can go wrong with files of point clouds.
+//! Errors of files of point clouds.
 
 use std::path::{Path, PathBuf};
 
@@ -26,10 +26,10 @@ pub enum CloudError {
     UnknownFormat {
         /// Which file.
         path: PathBuf,
-        /// What was found, and what is known.
+        /// What was found, and which formats are known.
         detail: String,
     },
-    /// The file does not keep to its format.
+    /// The file violates its format.
     #[error("{} is damaged or unusual: {detail}", path.display())]
     Damaged {
         /// Which file.
@@ -37,7 +37,7 @@ pub enum CloudError {
         /// What is wrong.
         detail: String,
     },
-    /// Points or options that the format cannot hold.
+    /// The format cannot hold these points or options.
     #[error("cannot write {}: {detail}", path.display())]
     Unwritable {
         /// Which file.
@@ -45,7 +45,7 @@ pub enum CloudError {
         /// Why, and what to do.
         detail: String,
     },
-    /// The size of voxels makes no sense.
+    /// The size of voxels is out of range.
     #[error("voxels must be 0.0001 to 1000 m large, not {0}")]
     VoxelSize(f64),
     /// A temporary file could not be written or read.

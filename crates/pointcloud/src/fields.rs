@@ -1,8 +1,8 @@
-//! Columns of points, whatever they are called and however they are stored.
+//! Columns of points, with the names and number types of various programs.
 
 use crate::cloud::{Attributes, PointCloud};
 
-/// How a number is stored.
+/// Type of a number in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scalar {
     /// One byte with a sign.
@@ -28,7 +28,7 @@ pub enum Scalar {
 }
 
 impl Scalar {
-    /// How many bytes it takes.
+    /// Size in bytes.
     pub fn bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
@@ -38,7 +38,7 @@ impl Scalar {
         }
     }
 
-    /// The number in the first bytes; 0 if there are too few.
+    /// Decodes the number from the first bytes; 0 if there are too few.
     pub fn decode(self, bytes: &[u8], is_big: bool) -> f64 {
         match self {
             Self::I8 => bytes.first().map_or(0.0, |b| f64::from(b.cast_signed())),
@@ -66,7 +66,7 @@ fn array<const N: usize>(bytes: &[u8], is_big: bool) -> [u8; N] {
     value
 }
 
-/// What a column means.
+/// Meaning of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Role {
     X,
@@ -82,7 +82,7 @@ pub(crate) enum Role {
 }
 
 impl Role {
-    /// From the name of a column, as many programs write it.
+    /// Meaning of the name of a column, as used by many programs.
     pub fn of(name: &str) -> Option<Self> {
         let name = name.to_ascii_lowercase();
         let name = name.strip_prefix("scalar_").unwrap_or(&name);
@@ -101,16 +101,16 @@ impl Role {
     }
 }
 
-/// One column: where it is and what it means.
+/// Position and meaning of a column.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Column {
     pub role: Role,
-    /// Place among the columns, or bytes from the start of a row.
+    /// Index of the column, or offset from the start of a row in bytes.
     pub at: usize,
     pub scalar: Scalar,
 }
 
-/// All columns that are of use.
+/// All columns that are used.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Columns {
     xyz: [Column; 3],
@@ -121,7 +121,7 @@ pub(crate) struct Columns {
 }
 
 impl Columns {
-    /// Sorts columns by their meaning; none without x, y and z.
+    /// Assigns columns by their meaning; none without x, y and z.
     pub fn of(columns: &[Column]) -> Option<Self> {
         let find = |role| columns.iter().find(|column| column.role == role).copied();
         let color = || Some([find(Role::Red)?, find(Role::Green)?, find(Role::Blue)?]);
@@ -142,7 +142,7 @@ impl Columns {
         }
     }
 
-    /// Adds a row, of which `value` gives the columns; whether its coordinates are numbers.
+    /// Adds a row with the columns from `value`; returns whether its coordinates are finite.
     pub fn push(&self, value: impl Fn(&Column) -> f64, out: &mut PointCloud) -> bool {
         let position = self.xyz.each_ref().map(&value);
         if position.iter().any(|v| !v.is_finite()) {
@@ -159,7 +159,7 @@ impl Columns {
     }
 }
 
-/// Colours have 8 bits, 16 bits, or go from 0 to 1.
+/// Converts a colour of 8 bits, 16 bits, or from 0 to 1 to 8 bits.
 fn eight_bits(value: f64, scalar: Scalar) -> u8 {
     let scaled = match scalar {
         Scalar::U16 => value / 257.0,
@@ -169,7 +169,7 @@ fn eight_bits(value: f64, scalar: Scalar) -> u8 {
     scaled.round().clamp(0.0, 255.0) as u8
 }
 
-/// PCD keeps colours in the bits of a float, or in an integer.
+/// Decodes the colours of PCD, which are stored in the bits of a float, or in an integer.
 fn unpack(value: f64, scalar: Scalar) -> [u8; 3] {
     let bits = match scalar {
         Scalar::F32 | Scalar::F64 => (value as f32).to_bits(),

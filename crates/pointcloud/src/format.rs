@@ -1,4 +1,4 @@
-//! The formats: distinguished by content when reading, by extension when writing.
+//! Opens and creates clouds. The format is detected by content when reading, by extension when writing.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use crate::error::CloudError;
 use crate::input::Input;
 use crate::{e57, las, pcd, ply, uos, xyz};
 
-/// A format of files.
+/// A file format of clouds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CloudFormat {
     /// Polygon File Format.
@@ -27,10 +27,10 @@ pub enum CloudFormat {
 }
 
 impl CloudFormat {
-    /// From the extension of a file.
+    /// The format by the extension of a file.
     ///
     /// # Errors
-    /// [`CloudError::UnknownFormat`] for an extension that none of the formats has, and for a name without one.
+    /// [`CloudError::UnknownFormat`] for an unknown extension, and for a name without one.
     pub fn from_path(path: &Path) -> Result<Self, CloudError> {
         let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
         match extension.as_str() {
@@ -48,23 +48,23 @@ impl CloudFormat {
     }
 }
 
-/// How values are stored, where the format leaves a choice (PLY and PCD).
+/// Encoding of values in formats with a choice (PLY and PCD).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Encoding {
     /// Binary, little-endian.
     #[default]
     Binary,
-    /// Binary, compressed (PCD; elsewhere like binary).
+    /// Compressed binary in PCD; the same as binary in PLY.
     Compressed,
     /// Text.
     Ascii,
 }
 
-/// How coordinates are stored in PLY and PCD.
+/// Precision of coordinates in PLY and PCD.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Precision {
-    /// Double in PLY, and single in PCD, as PCL expects; double there, too, if the first point is so far from the origin that
-    /// millimetres would be lost.
+    /// Double in PLY and single in PCD, as PCL expects. In PCD also double if the first point is so far from
+    /// the origin that single precision would lose millimetres.
     #[default]
     Usual,
     /// Single.
@@ -73,18 +73,18 @@ pub enum Precision {
     Double,
 }
 
-/// How to write.
+/// Options of writing.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WriteOptions {
     /// None: by the extension.
     pub format: Option<CloudFormat>,
-    /// For PLY and PCD.
+    /// Encoding of PLY and PCD.
     pub encoding: Encoding,
-    /// For PLY and PCD.
+    /// Precision of PLY and PCD.
     pub precision: Precision,
-    /// Steps of coordinates in LAS and LAZ, metres. Default 0.0001.
+    /// Resolution of coordinates in LAS and LAZ, metres. Default 0.0001.
     pub resolution: f64,
-    /// Place that coordinates in LAS and LAZ count from, metres; none: near the first point.
+    /// Offset of coordinates in LAS and LAZ, metres; none: a point near the first point.
     pub origin: Option<[f64; 3]>,
 }
 
@@ -102,33 +102,33 @@ impl Default for WriteOptions {
 
 /// Reads a cloud in batches.
 pub trait CloudReader {
-    /// Which values its points have.
+    /// Attributes of its points.
     fn attributes(&self) -> Attributes;
 
-    /// How many points there are, if the file says so.
+    /// Number of points, if the file states it.
     fn count(&self) -> Option<u64>;
 
     /// Replaces `batch` by the next points; false at the end, where it is empty.
     ///
     /// # Errors
-    /// Reading fails, or what follows is too damaged to go on.
+    /// Reading fails, or the rest is too damaged to continue.
     fn next_batch(&mut self, batch: &mut PointCloud) -> Result<bool, CloudError>;
 
-    /// What was repaired or left out so far.
+    /// Repairs and omissions so far.
     fn issues(&self) -> Vec<Issue>;
 }
 
-/// What was written.
+/// Counts of written and omitted points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Written {
     /// Points in the file.
     pub points: u64,
-    /// Points that were left out because their coordinates are not numbers.
+    /// Points left out because their coordinates are not finite.
     pub not_finite: u64,
 }
 
-/// Writes a cloud in batches. The file appears under its name when it is finished; dropped before, nothing
-/// remains. The same points give the same bytes.
+/// Writes a cloud in batches. The file appears under its name when it is finished; if the writer is dropped
+/// before, nothing remains. The same points give the same bytes.
 pub trait CloudWriter: Send {
     /// Appends points; values that they lack become 0.
     ///
@@ -139,15 +139,15 @@ pub trait CloudWriter: Send {
     /// Completes the file.
     ///
     /// # Errors
-    /// Writing fails, or the file cannot be given its name.
+    /// Writing fails, or the file cannot be renamed.
     fn finish(self: Box<Self>) -> Result<Written, CloudError>;
 }
 
-/// Opens a cloud: a file of any format, told by its content, or a folder of uos scans. PLY, PCD and text may come
-/// through a pipe (`/dev/stdin`, `-`); LAS and E57 are read back and forth.
+/// Opens a cloud: a file of any format, detected by its content, or a folder of uos scans. PLY, PCD and text
+/// may come through a pipe (`/dev/stdin`, `-`); LAS and E57 need random access.
 ///
 /// # Errors
-/// Fails if the file cannot be read, is of no known format, or its header is damaged.
+/// Fails if the file cannot be read, is of no known format, or if its header is damaged.
 pub fn open(path: impl AsRef<Path>) -> Result<Box<dyn CloudReader>, CloudError> {
     let path = path.as_ref();
     if path.is_dir() {
@@ -176,7 +176,7 @@ pub fn open(path: impl AsRef<Path>) -> Result<Box<dyn CloudReader>, CloudError> 
     }
 }
 
-/// Starts a cloud whose points have `attributes`.
+/// Creates a cloud whose points have `attributes`.
 ///
 /// # Errors
 /// Fails if the format is not clear from the extension, or the file cannot be created.

@@ -1,4 +1,4 @@
-//! Reading files piece by piece: lines of bounded length, rows of bytes.
+//! Reads files in pieces: lines of bounded length, rows of bytes.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use portolan_input::{Forward, Line, read_line, skip_line};
 
 use crate::error::CloudError;
 
-/// No line of a cloud is longer, bytes.
+/// Maximum length of a line, bytes.
 const MAX_LINE: usize = 1 << 16;
 
 /// A file or pipe that is read from start to end.
@@ -21,7 +21,7 @@ pub(crate) struct Input {
 /// A line of a cloud.
 pub(crate) enum CloudLine<'a> {
     Text(&'a str),
-    /// Longer than any line of a cloud; passed over.
+    /// Longer than the maximum; skipped.
     TooLong,
 }
 
@@ -33,7 +33,7 @@ impl Input {
         Ok(Self { path: path.to_owned(), reader, line: Vec::new(), line_number: 0 })
     }
 
-    /// The next bytes, which are read again afterwards.
+    /// The next bytes without consuming them.
     ///
     /// # Errors
     /// Reading fails.
@@ -41,13 +41,13 @@ impl Input {
         self.reader.peek(count).map_err(|e| CloudError::read(&self.path, e))
     }
 
-    /// How many rows of so many bytes are still to come; none where the length is not known (a pipe).
+    /// Number of rows of this size still to come; none if the length is unknown (a pipe).
     pub fn rows_left(&self, row_bytes: u64) -> Option<u64> {
         let left = self.reader.length()?.saturating_sub(self.reader.position());
         Some(left / row_bytes.max(1))
     }
 
-    /// Passes over bytes; false if the file ends before.
+    /// Skips bytes; false if the file ends before.
     ///
     /// # Errors
     /// Reading fails.
@@ -59,7 +59,7 @@ impl Input {
     /// The next line without its end; none at the end of the file.
     ///
     /// # Errors
-    /// A line longer than 64 KiB: this is not the text it seems to be.
+    /// A line longer than 64 KiB: the file is probably not text.
     pub fn line(&mut self) -> Result<Option<&str>, CloudError> {
         let number = self.line_number + 1;
         let path = self.path.clone();
@@ -73,7 +73,7 @@ impl Input {
         }
     }
 
-    /// The next line, where one that is too long shall not end everything.
+    /// The next line; one that is too long is not an error.
     ///
     /// # Errors
     /// Reading fails.
@@ -88,14 +88,14 @@ impl Input {
             }
             Line::Whole => {}
         }
-        // Text in other encodings only appears in comments.
+        // Text in other encodings occurs only in comments.
         if std::str::from_utf8(&self.line).is_err() {
             self.line.iter_mut().filter(|b| !b.is_ascii()).for_each(|b| *b = b'?');
         }
         Ok(std::str::from_utf8(&self.line).ok().map(CloudLine::Text))
     }
 
-    /// Fills `bytes` as far as the file goes; how many there were.
+    /// Fills `bytes` up to the end of the file; returns the number of bytes read.
     ///
     /// # Errors
     /// Reading fails; the end of the file is no error.
@@ -119,7 +119,7 @@ impl Read for Input {
     }
 }
 
-/// Numbers of a line, parted by spaces, commas or semicolons; false if one is no number.
+/// Parses the numbers of a line, separated by spaces, commas or semicolons; false if one is not a number.
 pub(crate) fn numbers(line: &str, into: &mut Vec<f64>) -> bool {
     into.clear();
     for part in line.split([' ', '\t', ',', ';']).filter(|part| !part.is_empty()) {

@@ -1,7 +1,7 @@
-//! LAS and LAZ.
+//! Reads and writes LAS and LAZ.
 //!
-//! Times stand in the field for GPS time as they are. Intensities are rounded to whole numbers from 0 to
-//! 65535, colours are spread over 16 bits.
+//! Times are stored unchanged in the field for GPS time. Intensities are rounded to whole numbers from 0 to
+//! 65535, colours are scaled to 16 bits.
 
 mod ahead;
 mod promises;
@@ -25,7 +25,7 @@ use crate::output::Output;
 use remembering::{Failure, Remembering};
 use shallow::Shallow;
 
-/// Fraction of the extent by which stated bounds may be off.
+/// Tolerance of the stated bounds as a fraction of the extent; dimensionless.
 const ROOM: f64 = 0.01;
 
 /// Reads points.
@@ -36,19 +36,19 @@ struct LasReader {
     attributes: Attributes,
     total: u64,
     left: u64,
-    /// Points that are asked for at once: fewer and fewer where the file is damaged.
+    /// Number of points requested at a time: halved repeatedly where the file is damaged.
     at_once: u64,
-    /// Where all points lie, by the header.
+    /// Bounds of all points according to the header.
     bounds: Option<[[f64; 3]; 2]>,
     issues: IssueLog,
 }
 
 pub(crate) use ahead::open;
 
-/// Points that are read at once take no more bytes than this.
+/// Maximum number of bytes of the points read at a time.
 const BATCH_BYTES: u64 = 1 << 25;
 
-/// Opens a LAS or LAZ file, here and now.
+/// Opens a LAS or LAZ file on the current thread.
 fn open_here(path: &Path) -> Result<LasReader, CloudError> {
     let file = portolan_input::regular_file(path).map_err(|e| CloudError::read(path, e))?;
     let bytes = file.metadata().map_err(|e| CloudError::read(path, e))?.len();
@@ -81,16 +81,16 @@ fn open_here(path: &Path) -> Result<LasReader, CloudError> {
     Ok(LasReader { path, reader, data, attributes, total, left, at_once, bounds, issues })
 }
 
-/// How many points of so many bytes are read at once: extra bytes make one as long as 64 kB, and memory is taken for all of them,
-/// whether they are in the file or not.
+/// Number of points of this size that are read at a time. Extra bytes can make a point as long as 64 kB, and
+/// the library allocates memory for all requested points, whether they are in the file or not.
 fn points_at_once(bytes: u64) -> u64 {
     (BATCH_BYTES / bytes.max(1)).clamp(1, BATCH_POINTS as u64)
 }
 
-/// What a call of the library gives; its error as text, none where it panicked: the decompressor checks
-/// damaged files by assertions.
+/// Result of a call of the library. The error is its text, or none if the library panicked: the decompressor
+/// checks damaged files by assertions.
 fn unpanicked<T>(call: impl FnOnce() -> las::Result<T>) -> Result<T, Option<String>> {
-    // Nothing is read any more from a reader that has panicked.
+    // A reader that has panicked is not used again.
     match caught::unpanicked(call) {
         Some(result) => result.map_err(|error| Some(error.to_string())),
         None => Err(None),
@@ -113,7 +113,7 @@ impl CloudReader for LasReader {
             let read = match unpanicked(|| self.reader.fill_points(count, &mut self.data)) {
                 Ok(read) => read.min(count),
                 Err(error) => {
-                    // Closer and closer to the damage; nothing is read behind it.
+                    // Reads smaller batches up to the damage; points after it are not read.
                     self.at_once = count / 2;
                     let position = self.total - self.left;
                     let may_retry = self.at_once > 0 && error.is_some();
@@ -164,12 +164,12 @@ impl LasReader {
             }
         }
         self.issues.count(IssueKind::CloudPointNotFinite, not_finite);
-        // What is decompressed from damaged bytes lies anywhere.
+        // Points decompressed from damaged bytes have arbitrary positions.
         self.issues.count(IssueKind::CloudPointsOutsideBounds, outside);
     }
 }
 
-/// Least and greatest coordinates that the header states, with some room; none where it states none.
+/// Minimum and maximum coordinates stated in the header, with a tolerance; none if none are stated.
 fn stated_bounds(header: &las::Header) -> Option<[[f64; 3]; 2]> {
     let (low, high) = (header.bounds().min, header.bounds().max);
     let bounds = [[low.x, low.y, low.z], [high.x, high.y, high.z]];
@@ -195,16 +195,16 @@ pub(crate) struct LasWriter {
     resolution: f64,
     origin: Option<[f64; 3]>,
     is_compressed: bool,
-    /// From the first point on, near which coordinates count.
+    /// Created with the first point, to which the coordinates are relative.
     writer: Option<Writer<Remembering<std::io::BufWriter<Disk<std::fs::File>>>>>,
-    /// Why the file could not be written.
+    /// The first error of writing the file.
     failure: Failure,
     written: Written,
 }
 
 impl LasWriter {
     /// # Errors
-    /// A resolution outside 0.1 µm to 10 m, or a file that cannot be made.
+    /// The resolution is outside 0.1 µm to 10 m, or the file cannot be created.
     pub fn create(
         path: &Path,
         attributes: Attributes,
@@ -228,7 +228,7 @@ impl LasWriter {
     }
 
     fn unwritable(&self, error: &las::Error) -> CloudError {
-        // What the disk says comes first: the library may stumble over what is missing.
+        // An error of the disk takes precedence: the error of the library may be a consequence of it.
         if let Some(failure) = self.failure.get() {
             return CloudError::write(&self.output.path, failure);
         }
@@ -238,13 +238,13 @@ impl LasWriter {
         }
     }
 
-    /// Whether everything so far could be written.
+    /// Whether all writes so far succeeded.
     fn check(&self) -> Result<(), CloudError> {
         self.failure.get().map_or(Ok(()), |error| Err(CloudError::write(&self.output.path, error)))
     }
 
     fn start(&mut self, first: [f64; 3]) -> Result<(), CloudError> {
-        // Whole tens of metres, so that offsets look alike in maps of the same place.
+        // Multiples of ten metres, so that maps of the same place have similar offsets.
         let origin = self.origin.unwrap_or(first.map(|v| (v / 10.0).floor() * 10.0));
         let [x, y, z] = origin.map(|offset| Transform { scale: self.resolution, offset });
         let mut format = Format::new(0).map_err(|e| self.unwritable(&e))?;
@@ -306,7 +306,7 @@ impl CloudWriter for LasWriter {
         }
         if let Some(mut writer) = self.writer.take() {
             writer.close().map_err(|e| self.unwritable(&e))?;
-            // Closed above; what is left is to empty the buffer.
+            // The file is closed above; only the buffer must be flushed.
             if let Ok(mut file) = writer.into_inner() {
                 std::io::Write::flush(&mut file).map_err(|e| CloudError::write(&self.output.path, e))?;
             }

@@ -1,4 +1,4 @@
-//! Files of point clouds, read and written in batches, so that memory does not depend on their size.
+//! Reads and writes files of point clouds in batches, so that memory does not depend on their size.
 //!
 //! | format | reading | writing |
 //! |---|---|---|
@@ -9,9 +9,8 @@
 //! | E57 | all scans, placed by their poses | one scan |
 //! | uos folders | `scan000.3d`, `.pose`, `.frames` | – |
 //!
-//! Points have a position in double precision (or single precision with an offset) and, where the
-//! file has them, intensity, time and colour. Written files appear under their name when they are
-//! complete.
+//! Points have a position in double precision (or single precision with an offset) and, if the file has them,
+//! intensity, time and colour. Written files appear under their name when they are complete.
 //!
 //! ```
 //! use portolan_pointcloud::{Attributes, PointCloud, WriteOptions, create, open};
@@ -62,5 +61,5 @@ pub use ply_header::{PlyElement, PlyHeader, PlyHeaderError, PlyHeaderLines, PlyP
 pub use thin::{CELLS_IN_MEMORY, ThinnedCloud, VoxelPoint, VoxelThinner};
 pub use uos::{UosFolder, UosFrame, UosScan, uos_frames_text, uos_pose_text};
 
-/// Points of a batch at most.
+/// Maximum number of points of a batch.
 pub const BATCH_POINTS: usize = 1 << 16;

@@ -1,33 +1,33 @@
-//! Which voxels hold points: a bit for each, in blocks.
+//! Finds the voxels with points in them: a bit for each voxel, in blocks.
 
 use portolan_spatial::{VoxelHash, VoxelKey as Key};
 
 use crate::error::CloudError;
 use crate::thin::check_voxel_size;
 
-/// A block has 2³ voxels along each edge.
+/// Binary logarithm of the edge of a block in voxels: 2³ voxels.
 const BLOCK: i32 = 3;
-/// Blocks that are held at most: 25 MB. A picture of 1500 by 1500 voxels has 35,000 blocks in each layer.
+/// Maximum number of blocks: 25 MB. A picture of 1500 by 1500 voxels has 35,000 blocks in each layer.
 const MAX_BLOCKS: usize = 1 << 18;
 
-/// Blocks to be found without a search.
+/// Number of recently used blocks that are cached.
 const RECENT: usize = 256;
-/// Where no block is yet.
+/// Index of a missing block.
 const NONE: u32 = u32::MAX;
 
-/// Voxels with points in them, in memory that is bounded.
+/// Set of voxels with points, in bounded memory.
 #[derive(Debug)]
 pub struct OccupiedVoxels {
     per_metre: f64,
     max_blocks: usize,
     blocks: VoxelHash<u32>,
     bits: Vec<[u64; 8]>,
-    /// Blocks that were used lately, by some bits of their keys: scans come back to them all the time.
+    /// Cache of recently used blocks, indexed by some bits of their keys: scans return to them often.
     recent: [(Key, u32); RECENT],
 }
 
 impl OccupiedVoxels {
-    /// No points yet; `voxel_size` in metres.
+    /// An empty set; `voxel_size` in metres.
     ///
     /// # Errors
     /// Fails if the size is not 0.1 mm to 1 km.
@@ -46,9 +46,9 @@ impl OccupiedVoxels {
         })
     }
 
-    /// Adds a point and tells whether it is the first in its voxel; never of one that is not finite or farther
-    /// than two thousand million voxels. When there are too many blocks all voxels are forgotten: where points
-    /// come again after that, they are the first once more.
+    /// Adds a point and returns whether it is the first one in its voxel; false for points that are not
+    /// finite or farther than two thousand million voxels. If there are too many blocks all voxels are
+    /// dropped, and the next point in each of them counts as the first again.
     #[inline]
     pub fn add(&mut self, position: [f64; 3]) -> bool {
         let scaled = position.map(|v| v * self.per_metre);
@@ -88,7 +88,7 @@ impl OccupiedVoxels {
     }
 }
 
-/// The whole number below; `floor` is a call on machines of no particular kind.
+/// Rounds down; `floor` is a function call on generic CPU targets.
 #[inline]
 fn rounded_down(value: f64) -> i32 {
     let whole = value as i32;

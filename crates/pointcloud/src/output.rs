@@ -1,4 +1,4 @@
-//! Files that appear whole or not at all.
+//! Writes files that appear complete or not at all.
 
 use std::fs::File;
 use std::io::{BufWriter, Read as _, Seek as _, SeekFrom, Write as _};
@@ -12,7 +12,7 @@ use crate::error::CloudError;
 /// A file that appears when it is complete, or not at all.
 pub(crate) struct Output {
     pub path: PathBuf,
-    /// None when it is complete.
+    /// None when the file is complete.
     file: Option<AtomicFile>,
 }
 
@@ -22,7 +22,7 @@ fn failed(error: WriteError) -> CloudError {
 
 impl Output {
     /// # Errors
-    /// The file cannot be made: the folder is missing or not writable, or there is a folder of this name.
+    /// The file cannot be created: the folder is missing or not writable, or there is a folder of this name.
     pub fn create(path: &Path) -> Result<Self, CloudError> {
         let file = AtomicFile::create(path).map_err(failed)?;
         Ok(Self { path: path.to_owned(), file: Some(file) })
@@ -35,10 +35,10 @@ impl Output {
         result.map_err(|e| CloudError::write(&self.path, e))
     }
 
-    /// Replaces bytes that were written before.
+    /// Overwrites bytes that have been written before.
     ///
     /// # Errors
-    /// Writing fails, or the file is a pipe, which cannot go back.
+    /// Writing fails, or the file is a pipe, which cannot seek back.
     pub fn overwrite(&mut self, offset: u64, bytes: &[u8]) -> Result<(), CloudError> {
         let result = self.file.as_mut().map_or(Ok(()), |file| file.overwrite(offset, bytes));
         result.map_err(|e| CloudError::write(&self.path, e))
@@ -57,31 +57,32 @@ impl Output {
     /// Gives the file its name.
     ///
     /// # Errors
-    /// What is buffered cannot be written, or the file cannot be renamed.
+    /// Buffered bytes cannot be written, or the file cannot be renamed.
     pub fn finish(&mut self) -> Result<(), CloudError> {
         self.file.take().map_or(Ok(()), |file| file.commit().map_err(failed))
     }
 }
 
-/// Bytes that wait on disk until all of them are known, in a file without a name.
+/// Bytes buffered on disk until all of them are known, in a nameless file.
 pub(crate) struct Spool {
     writer: BufWriter<Disk<File>>,
     length: u64,
 }
 
 impl Spool {
-    /// In the folder for temporary files: for what is only read.
+    /// Uses the folder for temporary files; for clouds that are only read.
     ///
     /// # Errors
-    /// No file can be made there.
+    /// No file can be created there.
     pub fn new() -> std::io::Result<Self> {
         Self::in_folder(&std::env::temp_dir())
     }
 
-    /// In this folder: that of results has room for them, which the one for temporary files, often memory, may not.
+    /// Uses this folder. The folder of results has enough space, which that for temporary files, often in
+    /// memory, may not have.
     ///
     /// # Errors
-    /// No file can be made there.
+    /// No file can be created there.
     pub fn in_folder(folder: &Path) -> std::io::Result<Self> {
         let writer = BufWriter::with_capacity(1 << 16, nameless_file(folder)?);
         Ok(Self { writer, length: 0 })
@@ -94,15 +95,15 @@ impl Spool {
         self.writer.write_all(bytes)
     }
 
-    /// Bytes in it.
+    /// Number of bytes.
     pub fn length(&self) -> u64 {
         self.length
     }
 
-    /// Fills `bytes` from a place.
+    /// Reads bytes from an offset until `bytes` is full.
     ///
     /// # Errors
-    /// Writing out what is buffered fails, reading fails, or fewer bytes lie behind that place.
+    /// Flushing the buffer fails, reading fails, or there are fewer bytes after the offset.
     pub fn read_at(&mut self, offset: u64, bytes: &mut [u8]) -> std::io::Result<()> {
         self.writer.flush()?;
         let file = self.writer.get_mut();

@@ -1,4 +1,4 @@
-//! Polygon File Format: the vertices of a file, in ascii or binary of either byte order.
+//! Reads and writes the Polygon File Format: the vertices of a file, in ascii or binary of either byte order.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -15,9 +15,9 @@ use crate::output::Output;
 use crate::ply_header::{PlyElement, PlyHeader, PlyHeaderError, PlyHeaderLines, PlyProperty, PlyStorage};
 use crate::xyz::push_text;
 
-/// Rows are not longer, bytes.
+/// Maximum size of a row, bytes.
 const MAX_ROW: usize = 1 << 16;
-/// The header is written at last; a comment fills what is left of this, bytes.
+/// Size of the header, bytes. It is written last; a comment pads it to this size.
 const HEADER_BYTES: usize = 512;
 
 /// Reads vertices.
@@ -32,7 +32,7 @@ pub(crate) struct PlyReader {
     issues: IssueLog,
 }
 
-/// PlyStorage and elements of a header.
+/// Reads storage and elements from the header.
 fn header(input: &mut Input) -> Result<PlyHeader, CloudError> {
     let path = input.path.clone();
     let damaged = |error: PlyHeaderError| CloudError::damaged(&path, error.to_string());
@@ -109,7 +109,7 @@ impl PlyReader {
         let got = self.input.fill(&mut self.bytes)?;
         self.left -= count;
         if got < self.bytes.len() {
-            // Of a pipe it shows only now.
+            // In a pipe a missing end is found only here.
             let missing = count - (got / self.row_bytes.max(1)) as u64;
             self.issues.count(IssueKind::CloudPointsMissing, missing.saturating_add(self.left));
             self.left = 0;
@@ -149,7 +149,7 @@ fn skip(input: &mut Input, storage: PlyStorage, element: &PlyElement) -> Result<
                 let number = count.decode(word, is_big).max(0.0) as u64;
                 bytes = if got == word.len() { bytes.saturating_mul(number) } else { u64::MAX };
             }
-            // The header may promise any number of elements.
+            // The header may state any number of elements.
             if !input.skip(bytes)? {
                 return Ok(());
             }
@@ -196,7 +196,7 @@ pub(crate) struct PlyWriter {
 
 impl PlyWriter {
     /// # Errors
-    /// The file cannot be made, or the header cannot be written.
+    /// The file cannot be created, or the header cannot be written.
     pub fn create(path: &Path, attributes: Attributes, options: &WriteOptions) -> Result<Self, CloudError> {
         let mut writer = Self {
             output: Output::create(path)?,
@@ -234,7 +234,7 @@ impl PlyWriter {
     }
 }
 
-/// Appends a point as little-endian bytes: position, intensity, time, colour as asked for.
+/// Appends a point as little-endian bytes: position, and intensity, time and colour if requested.
 pub(crate) fn push_bytes(
     bytes: &mut Vec<u8>,
     cloud: &PointCloud,

@@ -1,16 +1,16 @@
-//! The header of a PLY file: how it is stored, and which elements with which properties follow.
+//! Reads the header of a PLY file: its storage, elements and properties.
 
 use crate::fields::Scalar;
 
-/// Headers are not longer.
+/// Maximum number of lines of a header.
 const MAX_LINES: usize = 10_000;
 
-/// How the numbers of a PLY file are stored.
+/// Storage of the numbers of a PLY file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PlyStorage {
-    /// As words.
+    /// As text.
     Ascii,
-    /// As bytes.
+    /// As binary numbers.
     Binary {
         /// Whether the most significant byte comes first.
         is_big: bool,
@@ -22,9 +22,9 @@ pub enum PlyStorage {
 pub struct PlyProperty {
     /// Its name.
     pub name: String,
-    /// How the length of a list is stored; none for a single number.
+    /// Type of the length of a list; none for a single number.
     pub length: Option<Scalar>,
-    /// How its numbers are stored.
+    /// Type of its numbers.
     pub scalar: Scalar,
 }
 
@@ -33,36 +33,36 @@ pub struct PlyProperty {
 pub struct PlyElement {
     /// Its name.
     pub name: String,
-    /// How many rows the file promises.
+    /// Number of rows stated in the header.
     pub count: u64,
-    /// What each row holds, in this order.
+    /// Properties of each row, in this order.
     pub properties: Vec<PlyProperty>,
 }
 
-/// What a header says.
+/// Content of a header.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PlyHeader {
-    /// How numbers are stored.
+    /// Storage of numbers.
     pub storage: PlyStorage,
-    /// What follows the header, in this order.
+    /// Elements after the header, in this order.
     pub elements: Vec<PlyElement>,
 }
 
-/// Why a header cannot be understood; to be read after the name of the file.
+/// Why a header cannot be parsed. The text follows the name of the file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PlyHeaderError {
-    /// A line makes no sense, or comes too early.
+    /// A line is not valid, or comes too early.
     #[error("its header has the line \"{0}\"")]
     Line(String),
     /// There is no line `format …`.
     #[error("its header names no format")]
     NoFormat,
-    /// There is no line `end_header`, or only after very many.
+    /// There is no line `end_header` within the maximum number of lines.
     #[error("its header has no end")]
     NoEnd,
 }
 
-/// Puts a header together, line by line.
+/// Parses a header line by line.
 #[derive(Clone, Debug, Default)]
 pub struct PlyHeaderLines {
     storage: Option<PlyStorage>,
@@ -71,10 +71,10 @@ pub struct PlyHeaderLines {
 }
 
 impl PlyHeaderLines {
-    /// Takes the next line, the first of the file included; gives the header with its last line.
+    /// Parses the next line, starting with the first of the file. Returns the header after its last line.
     ///
     /// # Errors
-    /// Fails for lines that are not of a header, and for too many.
+    /// Fails for lines that do not belong to a header, and for too many lines.
     pub fn add(&mut self, line: &str) -> Result<Option<PlyHeader>, PlyHeaderError> {
         self.lines += 1;
         if self.lines > MAX_LINES {

@@ -1,9 +1,9 @@
-//! One point for each voxel, however many points there are.
+//! Reduces clouds of any size to one point per voxel.
 //!
-//! Cells gather in memory until there are [`CELLS_IN_MEMORY`] of them; then they are sorted, written to a
-//! temporary file as a run, and forgotten. At the end all runs are merged in order of their cells. Memory is
-//! independent of the number of points and of the size of the cloud; the disk holds 60 bytes for each cell of
-//! each run. The same points in the same order give the same cloud.
+//! Cells accumulate in memory until there are [`CELLS_IN_MEMORY`] of them. They are then sorted, written to a
+//! temporary file as a run, and dropped from memory. At the end all runs are merged in order of their cells.
+//! Memory is independent of the number of points and of the size of the cloud; the disk holds 60 bytes for
+//! each cell of each run. The same points in the same order give the same cloud.
 
 mod runs;
 
@@ -14,10 +14,10 @@ use portolan_spatial::{VoxelHash, VoxelKey as Key};
 use crate::error::CloudError;
 use runs::{Cell, Runs};
 
-/// Cells that are held in memory at most: about 150 MB.
+/// Maximum number of cells in memory: about 150 MB.
 pub const CELLS_IN_MEMORY: usize = 1 << 20;
 
-/// The points of a voxel.
+/// Mean of the points of a voxel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VoxelPoint {
     /// Mean position, metres.
@@ -26,23 +26,23 @@ pub struct VoxelPoint {
     pub intensity: f32,
     /// Mean time, in the seconds of the points.
     pub time: f64,
-    /// How many points it stands for.
+    /// Number of points.
     pub count: u64,
 }
 
-/// Gathers points in voxels.
+/// Accumulates points in voxels.
 pub struct VoxelThinner {
     voxel_size: f64,
     cells_in_memory: usize,
     cells: VoxelHash<Cell>,
     runs: Runs,
-    /// Times are summed up relative to the first, so that no digits are lost.
+    /// Times are summed relative to the first one to keep their precision.
     first_time: Option<f64>,
     not_finite: u64,
 }
 
 impl VoxelThinner {
-    /// No points yet; `voxel_size` in metres.
+    /// An empty thinner; `voxel_size` in metres.
     ///
     /// # Errors
     /// Fails if the size is not 0.1 mm to 1 km.
@@ -50,7 +50,7 @@ impl VoxelThinner {
         Self::with_memory(voxel_size, CELLS_IN_MEMORY)
     }
 
-    /// As [`VoxelThinner::new`], holding so many cells in memory at most.
+    /// As [`VoxelThinner::new`], with at most this number of cells in memory.
     ///
     /// # Errors
     /// Fails if the size is not 0.1 mm to 1 km.
@@ -66,7 +66,7 @@ impl VoxelThinner {
         })
     }
 
-    /// Has cells that do not fit in memory wait in this folder, not in the one for temporary files.
+    /// Writes cells that do not fit in memory to a file in this folder instead of that for temporary files.
     #[must_use]
     pub fn in_folder(mut self, folder: &Path) -> Self {
         self.runs = Runs::in_folder(folder);
@@ -97,7 +97,7 @@ impl VoxelThinner {
         self.runs.write(&cells)
     }
 
-    /// Ends the gathering.
+    /// Ends the accumulation.
     ///
     /// # Errors
     /// Fails if the temporary file cannot be written.
@@ -115,7 +115,7 @@ pub(crate) fn check_voxel_size(voxel_size: f64) -> Result<(), CloudError> {
     if (1e-4..=1e3).contains(&voxel_size) { Ok(()) } else { Err(CloudError::VoxelSize(voxel_size)) }
 }
 
-/// A cloud with one point for each voxel, to be read as often as needed.
+/// A cloud with one point per voxel, which can be read repeatedly.
 pub struct ThinnedCloud {
     voxel_size: f64,
     /// All cells, if they fit in memory; otherwise none.
@@ -126,12 +126,12 @@ pub struct ThinnedCloud {
 }
 
 impl ThinnedCloud {
-    /// Points that were left out because their values are not numbers.
+    /// Number of points left out because their values are not finite.
     pub fn not_finite(&self) -> u64 {
         self.not_finite
     }
 
-    /// Visits all voxels in ascending order of x, then y, then z; an error of `visit` ends that.
+    /// Visits all voxels in ascending order of x, then y, then z; an error of `visit` ends the iteration.
     ///
     /// # Errors
     /// Fails if the temporary file cannot be read, or as `visit` does.

@@ -1,8 +1,8 @@
-//! Folders of uos scans: `scan000.3d` with points, `scan000.pose` with a first guess of the pose, and
-//! `scan000.frames` with the poses it had while it was registered.
+//! Reads folders of uos scans: `scan000.3d` with points, `scan000.pose` with an initial guess of the pose,
+//! and `scan000.frames` with its poses during registration.
 //!
-//! These files are left-handed: x to the right, y up, z ahead, in centimetres and degrees. Here they
-//! become x ahead, y to the left, z up, in metres.
+//! These files are left-handed: x to the right, y up, z ahead, in centimetres and degrees. They are converted
+//! to x ahead, y to the left, z up, in metres.
 
 use std::path::{Path, PathBuf};
 
@@ -15,11 +15,11 @@ use crate::error::CloudError;
 use crate::format::CloudReader;
 use crate::input::{Input, numbers};
 
-/// Lines at the head of a scan that need not be points.
+/// Number of lines at the start of a scan that need not be points.
 const HEAD_LINES: usize = 10;
 const METRES: f64 = 0.01;
 
-/// One state of a scan while it was registered.
+/// One state of a scan during registration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UosFrame {
     /// Pose of the scan.
@@ -35,17 +35,17 @@ pub struct UosScan {
     pub number: u64,
     /// File of its points.
     pub points: PathBuf,
-    /// First guess of its pose, from `.pose`; none if there is none.
+    /// Initial guess of its pose, from `.pose`, if there is such a file.
     pub guess: Option<Rigid3>,
     /// Its states, from `.frames`; the last one is the result.
     pub frames: Vec<UosFrame>,
 }
 
 impl UosScan {
-    /// A scan by the file of its points (`scan000.3d`), with what lies beside it.
+    /// Opens a scan by the file of its points (`scan000.3d`), with the files of its poses in the same folder.
     ///
     /// # Errors
-    /// Fails if its pose or frames cannot be understood.
+    /// Fails if its pose or frames cannot be parsed.
     pub fn open(points: impl AsRef<Path>) -> Result<Self, CloudError> {
         let points = points.as_ref().to_owned();
         let stem = points.file_stem().unwrap_or_default().to_string_lossy().into_owned();
@@ -55,14 +55,14 @@ impl UosScan {
         Ok(Self { number, points, guess, frames })
     }
 
-    /// Its points in its own frame.
+    /// Reads its points in its own frame.
     pub fn reader(&self) -> Box<dyn CloudReader> {
         let scan = Self { guess: None, frames: Vec::new(), ..self.clone() };
         let path = self.points.clone();
         Box::new(UosFolder { path, scans: vec![scan] }.into_reader())
     }
 
-    /// The result of registration, else the first guess, else the origin.
+    /// The result of registration; without it the initial guess, or else the identity.
     pub fn world_from_scan(&self) -> Rigid3 {
         self.frames.last().map(|frame| frame.world_from_scan).or(self.guess).unwrap_or_default()
     }
@@ -76,22 +76,22 @@ pub struct UosFolder {
     pub scans: Vec<UosScan>,
 }
 
-/// From left-handed centimetres to ours: (x right, y up, z ahead) becomes (z, −x, y).
+/// Converts left-handed centimetres to our axes: (x right, y up, z ahead) becomes (z, −x, y).
 fn point(x: f64, y: f64, z: f64) -> Vector3 {
     Vector3::new(z, -x, y) * METRES
 }
 
-/// A left-handed rotation matrix in our axes: the same permutation on both sides.
+/// Converts a left-handed rotation matrix to our axes: the same permutation on both sides.
 fn rotation(matrix: &na::Matrix3<f64>) -> na::UnitQuaternion<f64> {
     let ours_from_uos = na::Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
     na::UnitQuaternion::from_matrix(&(ours_from_uos * matrix * ours_from_uos.transpose()))
 }
 
 impl UosFolder {
-    /// Looks for the scans of a folder.
+    /// Finds the scans of a folder.
     ///
     /// # Errors
-    /// Fails if the folder cannot be read, has no scans, or a pose cannot be understood.
+    /// Fails if the folder cannot be read, has no scans, or a pose cannot be parsed.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, CloudError> {
         let path = path.as_ref();
         let error = |e| CloudError::read(path, e);
@@ -112,13 +112,13 @@ impl UosFolder {
         Ok(Self { path: path.to_owned(), scans })
     }
 
-    /// All points, placed by the poses of their scans.
+    /// Reads all points, transformed by the poses of their scans.
     pub(crate) fn into_reader(self) -> UosReader {
         UosReader { attributes: None, folder: self, next: 0, open: None, issues: IssueLog::default() }
     }
 }
 
-/// All numbers of a short file; none if it is not there.
+/// All numbers of a short file; none if it does not exist.
 fn all_numbers(path: &Path) -> Result<Option<Vec<Vec<f64>>>, CloudError> {
     if !path.is_file() {
         return Ok(None);
@@ -137,7 +137,7 @@ fn all_numbers(path: &Path) -> Result<Option<Vec<Vec<f64>>>, CloudError> {
     Ok(Some(lines))
 }
 
-/// Position, and angles about x, y and z in degrees: R = Rx Ry Rz.
+/// Reads position, and angles about x, y and z in degrees: R = Rx Ry Rz.
 fn read_pose(path: &Path) -> Result<Option<Rigid3>, CloudError> {
     let Some(lines) = all_numbers(path)? else { return Ok(None) };
     let values: Vec<f64> = lines.into_iter().flatten().collect();
@@ -150,7 +150,7 @@ fn read_pose(path: &Path) -> Result<Option<Rigid3>, CloudError> {
     Ok(Some(Rigid3::from_parts(point(x, y, z).into(), rotation(matrix.matrix()))))
 }
 
-/// Lines of sixteen numbers, column by column, and a kind.
+/// Reads lines of sixteen numbers in column-major order, and a kind.
 fn read_frames(path: &Path) -> Result<Vec<UosFrame>, CloudError> {
     let lines = all_numbers(path)?.unwrap_or_default();
     let frame = |v: &Vec<f64>| {
@@ -168,10 +168,10 @@ fn read_frames(path: &Path) -> Result<Vec<UosFrame>, CloudError> {
     })
 }
 
-/// The first guess of a pose as text: what `.pose` files hold.
+/// The initial guess of a pose as text: content of `.pose` files.
 pub fn uos_pose_text(world_from_scan: &Rigid3) -> String {
     let (matrix, place) = in_uos_axes(world_from_scan);
-    // R = Rx Ry Rz, with the branch in which the cosine of the middle angle is not negative.
+    // R = Rx Ry Rz; of the two solutions that with a non-negative cosine of the middle angle.
     let cosine = matrix.m11.hypot(matrix.m12);
     let angles = if cosine > 1e-9 {
         [(-matrix.m23).atan2(matrix.m33), matrix.m13.atan2(cosine), (-matrix.m12).atan2(matrix.m11)]
@@ -182,11 +182,11 @@ pub fn uos_pose_text(world_from_scan: &Rigid3) -> String {
     format!("{:.6} {:.6} {:.6}\n{rx:.9} {ry:.9} {rz:.9}\n", place.x, place.y, place.z)
 }
 
-/// The states of a scan as text: what `.frames` files hold.
+/// The states of a scan as text: content of `.frames` files.
 pub fn uos_frames_text(frames: &[UosFrame]) -> String {
     let line = |frame: &UosFrame| {
         let (m, t) = in_uos_axes(&frame.world_from_scan);
-        // Column by column, each with a zero behind it.
+        // Column-major, each column followed by a zero.
         let column = |c: &[f64]| c.iter().map(|v| format!("{v:.12} ")).collect::<String>() + "0 ";
         let columns: String = m.as_slice().chunks_exact(3).map(column).collect();
         format!("{columns}{:.6} {:.6} {:.6} 1 {}\n", t.x, t.y, t.z, frame.kind)
@@ -194,7 +194,7 @@ pub fn uos_frames_text(frames: &[UosFrame]) -> String {
     frames.iter().map(line).collect()
 }
 
-/// Rotation matrix and place (centimetres) in left-handed axes.
+/// Rotation matrix and position (centimetres) in left-handed axes.
 fn in_uos_axes(pose: &Rigid3) -> (na::Matrix3<f64>, Vector3) {
     let ours_from_uos = na::Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
     let ours = pose.rotation.to_rotation_matrix();
@@ -205,7 +205,7 @@ fn in_uos_axes(pose: &Rigid3) -> (na::Matrix3<f64>, Vector3) {
 /// Reads all scans one after the other.
 pub(crate) struct UosReader {
     folder: UosFolder,
-    /// Of the first scan.
+    /// Attributes of the first scan.
     attributes: Option<Attributes>,
     next: usize,
     open: Option<(Input, Rigid3, usize)>,
@@ -213,7 +213,7 @@ pub(crate) struct UosReader {
 }
 
 impl UosReader {
-    /// Adds the point of a line; false if it is none.
+    /// Adds the point of a line; false if the line is not a point.
     fn push(&mut self, values: &[f64], world_from_scan: &Rigid3, batch: &mut PointCloud) -> bool {
         let &[x, y, z, ref rest @ ..] = values else { return false };
         let position = world_from_scan * na::Point3::from(point(x, y, z));
@@ -230,7 +230,7 @@ impl UosReader {
         true
     }
 
-    /// Whether points of the first scan have reflectance or colours.
+    /// Detects whether points of the first scan have reflectance or colours.
     fn look(&self) -> Attributes {
         let Some(scan) = self.folder.scans.first() else { return Attributes::default() };
         let Ok(mut input) = Input::open(&scan.points) else { return Attributes::default() };
@@ -288,7 +288,7 @@ impl CloudReader for UosReader {
 }
 
 impl UosFolder {
-    /// Where the scans are.
+    /// Path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
     }

@@ -1,8 +1,8 @@
-//! Text: one point a line.
+//! Reads and writes text with one point per line.
 //!
-//! A first line of names (`x y z intensity …`, also after `#` or `//`) says what the columns are. Without
-//! one their number does: x y z, then intensity (4), red green blue (6), or intensity red green blue (7). A
-//! first line with a single whole number is the number of points (PTS).
+//! A first line of names (`x y z intensity …`, also after `#` or `//`) defines the columns. Without one their
+//! number does: x y z, then intensity (4), red green blue (6), or intensity red green blue (7). A first line
+//! with a single whole number is the number of points (PTS).
 
 use std::fmt::Write;
 use std::path::Path;
@@ -17,7 +17,7 @@ use crate::format::{CloudReader, CloudWriter, Written};
 use crate::input::{CloudLine, Input, numbers};
 use crate::output::Output;
 
-/// So many lines may come before the first point.
+/// Maximum number of lines before the first point.
 const MAX_HEAD: usize = 100;
 
 /// Whether bytes begin like text with coordinates.
@@ -26,7 +26,7 @@ pub(crate) fn sniff(start: &[u8]) -> bool {
         return false;
     }
     let text = String::from_utf8_lossy(start);
-    // The last line may be cut.
+    // The last line may be incomplete.
     let complete = text.rsplit_once('\n').map_or(&*text, |(lines, _)| lines);
     let mut values = Vec::new();
     complete
@@ -45,7 +45,7 @@ fn columns_of_names(line: &str) -> Option<Columns> {
 }
 
 fn color_scalar(role: Role) -> Scalar {
-    // Colours in text count from 0 to 255.
+    // Colours in text are from 0 to 255.
     if matches!(role, Role::Red | Role::Green | Role::Blue) { Scalar::U8 } else { Scalar::F64 }
 }
 
@@ -67,7 +67,7 @@ pub(crate) struct XyzReader {
     input: Input,
     columns: Columns,
     count: Option<u64>,
-    /// The first line of numbers, which told the columns.
+    /// The first line of numbers, which was read to determine the columns.
     first: Option<Vec<f64>>,
     values: Vec<f64>,
     issues: IssueLog,
@@ -93,7 +93,7 @@ impl XyzReader {
             }
         }
         match named {
-            // A header and no points.
+            // A header without points.
             Some(columns) => {
                 Ok(Self { input, columns, count: Some(0), first: None, values, issues: IssueLog::default() })
             }
@@ -162,7 +162,7 @@ pub(crate) struct XyzWriter {
 
 impl XyzWriter {
     /// # Errors
-    /// The file cannot be made, or the line with the names cannot be written.
+    /// The file cannot be created, or the line with the names cannot be written.
     pub fn create(path: &Path, attributes: Attributes) -> Result<Self, CloudError> {
         let mut output = Output::create(path)?;
         let mut names = "# x y z".to_owned();

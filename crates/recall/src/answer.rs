@@ -1,20 +1,20 @@
-//! Answers as words of 64 bits, every bit of every number kept.
+//! Lossless serialisation of answers as 64-bit words.
 
 use portolan_geometry::nalgebra as na;
 use portolan_geometry::{Duration, Quaternion, Rigid2, Rigid3, Time, Vector3};
 
-/// What can be kept and read again bit by bit.
+/// A value that can be serialised to 64-bit words and read back bit by bit.
 pub trait Answer: Sized {
-    /// Adds it to words.
+    /// Appends the value to `words`.
     fn write(&self, words: &mut impl Sink);
 
-    /// Takes it from the next words; none if that is not what they hold.
+    /// Reads a value from the next words; none if they do not hold such a value.
     fn read(words: &mut Words<'_>) -> Option<Self>;
 }
 
-/// Takes words one after the other.
+/// Consumer of words, one after the other.
 pub trait Sink {
-    /// Takes one.
+    /// Takes one word.
     fn put(&mut self, word: u64);
 }
 
@@ -24,16 +24,16 @@ impl Sink for Vec<u64> {
     }
 }
 
-/// Words that are read one after the other.
+/// Reader of words, one after the other.
 pub struct Words<'a>(std::slice::Iter<'a, u64>);
 
 impl<'a> Words<'a> {
-    /// Reads these.
+    /// Begins at the first of these words.
     pub fn new(words: &'a [u64]) -> Self {
         Self(words.iter())
     }
 
-    /// All that is left, as one answer.
+    /// All remaining words as one value; none if words are left over or missing.
     pub fn whole<T: Answer>(mut self) -> Option<T> {
         let answer = T::read(&mut self)?;
         self.0.next().is_none().then_some(answer)
@@ -50,7 +50,7 @@ impl Answer for u64 {
     }
 }
 
-/// Answers that are written as another one.
+/// Implements [`Answer`] for types that are serialised as another type.
 macro_rules! answers_as {
     ($($type:ty as $other:ty: $to:expr, $from:expr;)*) => {
         $(impl Answer for $type {
@@ -124,7 +124,7 @@ impl<T: Answer> Answer for Vec<T> {
 
     fn read(words: &mut Words<'_>) -> Option<Self> {
         let count = u64::read(words)?;
-        // A length that is not true ends with the words.
+        // With a wrong length reading stops at the end of the words: nothing is allocated in advance.
         (0..count).map(|_| T::read(words)).collect()
     }
 }

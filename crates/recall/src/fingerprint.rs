@@ -1,23 +1,24 @@
-//! What a question is known by.
+//! Fingerprint (64-bit hash) that identifies a question.
 
 use crate::{Answer, Sink};
 
 /// An odd constant whose bits look random: the golden ratio as a fraction of 2⁶⁴.
 const FACTOR: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// A hash of everything that an answer depends on: the same on every run of one program.
+/// Hash of everything that an answer depends on. It is the same on every run of the same program.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Fingerprint(u64);
 
 impl Fingerprint {
-    /// Of a subject, so that questions of different places differ.
+    /// Begins with a subject, so that questions asked at different places of the program differ.
     pub fn of(subject: &str) -> Self {
         let mut fingerprint = Self::default();
         fingerprint.add_text(subject);
         fingerprint
     }
 
-    /// Adds a word. Each step can be undone, so that no single change is lost, and mixes high bits into low ones.
+    /// Adds a word. Each step is invertible, so that two inputs that differ in one word never collide, and mixes high
+    /// bits into low ones.
     pub fn add_word(&mut self, word: u64) {
         let mixed = (self.0 ^ word).wrapping_add(1).wrapping_mul(FACTOR);
         self.0 = mixed ^ (mixed >> 29);
@@ -28,7 +29,7 @@ impl Fingerprint {
         self.add_bytes(text.as_bytes());
     }
 
-    /// Adds bytes and their number.
+    /// Adds bytes and their count.
     pub fn add_bytes(&mut self, bytes: &[u8]) {
         let (words, rest) = bytes.as_chunks::<8>();
         words.iter().for_each(|word| self.add_word(u64::from_le_bytes(*word)));
@@ -36,12 +37,12 @@ impl Fingerprint {
         self.add_word(bytes.len() as u64);
     }
 
-    /// Adds whatever can be an answer.
+    /// Adds any value that implements [`Answer`].
     pub fn add<T: Answer>(&mut self, value: T) {
         value.write(self);
     }
 
-    /// Adds numbers and how many they are, two to a word.
+    /// Adds numbers, two per word, and their count.
     pub fn add_f32s(&mut self, numbers: impl Iterator<Item = f32>) {
         let (mut count, mut half) = (0u64, 0u64);
         for number in numbers {
@@ -56,7 +57,7 @@ impl Fingerprint {
         self.add_word(count);
     }
 
-    /// As a number.
+    /// The hash.
     pub fn value(self) -> u64 {
         self.0 ^ (self.0 >> 32)
     }

@@ -9,31 +9,31 @@ use std::sync::Arc;
 pub use answer::{Answer, Sink, Words};
 pub use fingerprint::Fingerprint;
 
-/// Where answers are kept.
+/// Store of answers, by fingerprint of the question.
 pub trait Recall: Send + Sync {
-    /// The answer to a question, if it was given before.
+    /// The stored answer to a question; none if there is none.
     fn recall(&self, question: u64) -> Option<Vec<u64>>;
 
-    /// Keeps an answer.
+    /// Stores an answer.
     fn keep(&self, question: u64, answer: &[u64]);
 }
 
-/// Memory of the answers of expensive functions. Without any, which is the default, everything is computed.
+/// Cache of the results of expensive functions. Without a store, which is the default, everything is computed.
 #[derive(Clone, Default)]
 pub struct Memory(Option<Arc<dyn Recall>>);
 
 impl Memory {
-    /// That remembers with this.
+    /// With this store.
     pub fn new(recall: Arc<dyn Recall>) -> Self {
         Self(Some(recall))
     }
 
-    /// Whether anything is remembered.
+    /// Whether there is a store.
     pub fn is_on(&self) -> bool {
         self.0.is_some()
     }
 
-    /// The answer to a question: the one that is remembered, or else the one that is computed. `ask` adds to the
+    /// The answer to a question: the stored one, or else the computed one, which is then stored. `ask` must add to the
     /// fingerprint everything that the answer depends on.
     pub fn answer<T: Answer>(&self, ask: impl FnOnce(&mut Fingerprint), compute: impl FnOnce() -> T) -> T {
         let question = self.question(ask);
@@ -44,7 +44,7 @@ impl Memory {
         })
     }
 
-    /// A question to be asked by [`Self::recall`] and answered by [`Self::keep`]; none if nothing is remembered.
+    /// Fingerprint of a question, to be passed to [`Self::recall`] and [`Self::keep`]; none without a store.
     pub fn question(&self, ask: impl FnOnce(&mut Fingerprint)) -> Option<u64> {
         self.0.as_ref()?;
         let mut question = Fingerprint::default();
@@ -52,13 +52,13 @@ impl Memory {
         Some(question.value())
     }
 
-    /// The answer to a question, if it is remembered.
+    /// The stored answer to a question; none if there is none or it cannot be read as `T`.
     pub fn recall<T: Answer>(&self, question: Option<u64>) -> Option<T> {
         let words = self.0.as_ref()?.recall(question?)?;
         Words::new(&words).whole()
     }
 
-    /// Remembers the answer to a question.
+    /// Stores the answer to a question; does nothing without a store.
     pub fn keep<T: Answer>(&self, question: Option<u64>, answer: &T) {
         if let (Some(recall), Some(question)) = (&self.0, question) {
             let mut words = Vec::new();

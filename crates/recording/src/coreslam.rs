@@ -1,17 +1,17 @@
-//! Logs of CoreSLAM (`.dat`): a wheeled robot with a Hokuyo URG-04LX.
+//! Reads logs of CoreSLAM (`.dat`): a wheeled robot with a Hokuyo URG-04LX.
 //!
-//! One line per scan, numbers parted by spaces: the time in microseconds, a voltage, the ticks of the
-//! left and of the right wheel since the start, 21 more values that mapping does not need, then 682
-//! ranges in millimetres, counter-clockwise over 240°. Readings below 20 are error codes of the
-//! scanner: nothing seen.
+//! One line per scan, numbers separated by spaces: the time in microseconds, a voltage, the encoder ticks of
+//! the left and of the right wheel since the start, 21 more values that mapping does not need, then 682
+//! ranges in millimetres, counter-clockwise over 240°. Readings below 20 are error codes of the scanner, not
+//! returns.
 //!
-//! The log does not say how large the robot is. Its builders published wheels of 77 mm radius, 165 mm
-//! from the middle, 2000 ticks a revolution, and the scanner 145 mm ahead of the axle; matching scans
-//! against each other gives the same within a few per cent (2.2e-4 to 2.4e-4 m a tick, 7.1e-4 rad a
-//! tick of difference, 0.14 m).
+//! The log does not contain the dimensions of the robot. Its builders published wheels of 77 mm radius, 165
+//! mm from the middle of the axle, 2000 ticks per revolution, and the scanner 145 mm ahead of the axle. Scan
+//! matching gives the same within a few per cent (2.2e-4 to 2.4e-4 m per tick, 7.1e-4 rad per tick of
+//! difference, 0.14 m).
 //!
-//! This file shows all that a format needs: recognise it, look through it once for its topics, and
-//! give [`RecordedMessage`]s in order of time, with every line that could not be used counted.
+//! This file is an example of everything that a format needs: recognise it, read it once for its topics, and
+//! return [`RecordedMessage`]s in order of time. Every line that could not be used is counted.
 
 use std::collections::VecDeque;
 use std::f64::consts::PI;
@@ -33,10 +33,10 @@ const BEAMS: usize = 682;
 const METRES_PER_TICK: f64 = 2.0 * PI * 0.077 / 2000.0;
 const TRACK: f64 = 2.0 * 0.165;
 const LASER_AHEAD: f64 = 0.145;
-/// A step of the scanner; step 340 of the 682 looks straight ahead.
+/// Angle between beams, radians; beam 340 of the 682 points straight ahead.
 const INCREMENT: f64 = PI / 512.0;
 const START_ANGLE: f64 = -340.0 * INCREMENT;
-/// The clock counts from the start of the robot; stamps are put this much later, as for CARMEN logs.
+/// Offset of the stamps, as for CARMEN logs: the clock of the log counts from the start of the robot.
 const CLOCK_START: Time = Time::from_ros(1_000_000_000, 0);
 
 /// One line of the log.
@@ -70,7 +70,7 @@ fn parse_line(line: &[u8]) -> Option<Record> {
     (ranges.len() == BEAMS).then_some(Record { stamp, left_ticks, right_ticks, ranges })
 }
 
-/// Whether text begins like a CoreSLAM log.
+/// Whether a text begins like a CoreSLAM log.
 pub fn looks_like_coreslam(prefix: &[u8]) -> bool {
     prefix.split(|b| *b == b'\n').take(3).any(|line| parse_line(line).is_some())
 }
@@ -83,7 +83,7 @@ pub struct CoreSlamLog {
 }
 
 impl CoreSlamLog {
-    /// Opens a log and looks through it once. Fails if no line is one of CoreSLAM.
+    /// Opens a log and reads it once. Fails if no line is one of CoreSLAM.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         Self::of(TextFile::open(path)?)
     }
@@ -211,17 +211,17 @@ impl MessageReader for CoreSlamReader {
     }
 }
 
-/// Dead reckoning of a differential drive.
+/// Dead reckoning with a differential drive.
 #[derive(Clone, Copy, Debug, Default)]
 struct Wheels {
     last_ticks: Option<(i64, i64)>,
-    /// x, y, heading.
+    /// x, y (metres), heading (radians).
     pose: [f64; 3],
 }
 
 impl Wheels {
-    /// The pose after the wheels have reached these counts: an arc about the middle of the axle, taken
-    /// along the mean heading.
+    /// The pose when the wheel encoders have reached these counts: the arc about the middle of the axle is
+    /// replaced by a straight step along the mean heading.
     fn advance(&mut self, left_ticks: i64, right_ticks: i64) -> [f64; 3] {
         let (left, right) = self
             .last_ticks

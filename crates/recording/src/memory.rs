@@ -1,4 +1,4 @@
-//! A recording that lies in memory: made by a program, not read from a file.
+//! A recording in memory, made by a program instead of read from a file.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -8,14 +8,14 @@ use portolan_geometry::Time;
 use crate::{Message, MessageReader, RecordedMessage, Recording, RecordingError, TopicInfo};
 use portolan_issue::Issue;
 
-/// Messages in memory.
+/// A recording whose messages are in memory.
 #[derive(Clone, Debug, Default)]
 pub struct MemoryRecording {
     messages: Arc<[RecordedMessage]>,
 }
 
 impl MemoryRecording {
-    /// Takes messages in any order; they are put in order of log time (ties stay as they are).
+    /// Takes messages in any order and sorts them by log time (the order of equal times is kept).
     pub fn new(mut messages: Vec<RecordedMessage>) -> Self {
         messages.sort_by_key(|m| m.log_time);
         Self { messages: messages.into() }

@@ -10,21 +10,21 @@ use crate::{MessageReader, RecordedMessage, Recording, RecordingError, TopicInfo
 use portolan_issue::{Issue, IssueLog};
 
 /// Recordings merged by log time; at equal times the earlier part comes first. A part is opened when its
-/// first message may be due. Parts that do not know their times follow the part before them.
+/// first message may be due. Parts whose time range is not known follow the part before them.
 pub(crate) struct MergedRecording {
     parts: Parts,
     info: MergedInfo,
-    /// What was repaired when the parts were found.
+    /// Repairs made while the parts were found.
     issues: Vec<Issue>,
 }
 
-/// Shared with readers, which open the parts one after the other.
+/// Shared with readers, which open one part after the other.
 type Parts = Arc<Mutex<Vec<Box<dyn Recording>>>>;
 
 struct MergedInfo {
     format: String,
     topics: Vec<TopicInfo>,
-    /// Of every part.
+    /// Time range of every part.
     time_ranges: Vec<Option<(Time, Time)>>,
     sizes_bytes: Vec<u64>,
 }
@@ -58,7 +58,7 @@ impl Recording for MergedRecording {
         self.info.topics.clone()
     }
 
-    /// Parts without messages know no times; as soon as there are messages, some part knows.
+    /// Parts without messages have no time range; if there are messages, at least one part has one.
     fn time_range(&self) -> Option<(Time, Time)> {
         let ranges = self.info.time_ranges.iter().flatten();
         let first = ranges.clone().map(|range| range.0).min()?;
@@ -103,7 +103,7 @@ struct OpenPart {
 struct MergedReader {
     parts: Parts,
     wanted: BTreeSet<(Arc<str>, Arc<str>)>,
-    /// Start, number, and whether the start is known, of parts still to come, in order.
+    /// Start time, number, and whether the start time is known, of parts that are not open yet, in order.
     waiting: VecDeque<(Time, usize, bool)>,
     open: BTreeMap<usize, OpenPart>,
     /// Log time of the next message and number of every open part.
@@ -114,7 +114,7 @@ struct MergedReader {
 }
 
 impl MergedReader {
-    /// Opens every part that may hold a message at or before the next one queued.
+    /// Opens every part that may hold a message at or before the next one in the queue.
     fn open_due_parts(&mut self) -> Result<(), RecordingError> {
         while let Some((start, number, known)) = self.waiting.front().copied() {
             let next = self.queue.peek().map(|Reverse((next, _))| *next);
@@ -122,7 +122,7 @@ impl MergedReader {
                 break;
             }
             self.waiting.pop_front();
-            // A panic elsewhere cannot leave the list of parts half changed: nothing changes it.
+            // The list of parts never changes, so a panic in another thread cannot leave it inconsistent.
             let parts = self.parts.lock().unwrap_or_else(PoisonError::into_inner);
             let Some(part) = parts.get(number) else { continue };
             let wanted =
@@ -135,7 +135,7 @@ impl MergedReader {
         Ok(())
     }
 
-    /// Fetches the next message of a part and queues it, or closes the part.
+    /// Reads the next message of a part and puts it into the queue, or closes the part.
     fn advance(&mut self, number: usize) -> Result<(), RecordingError> {
         let Some(part) = self.open.get_mut(&number) else { return Ok(()) };
         part.next = part.reader.next_message()?;

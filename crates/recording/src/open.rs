@@ -1,4 +1,4 @@
-//! Opening recordings of any format, distinguished by content.
+//! Opens recordings of any format, recognised by content.
 
 use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -12,17 +12,17 @@ use crate::ros2::{db3, folder, mcap};
 use crate::{Recording, RecordingError, kitti, open_text_log, open_text_log_bytes, packets, pcap, ros1};
 use portolan_issue::{Issue, IssueKind, IssueLog};
 
-/// What can be opened, for error messages.
+/// Supported formats, for error messages.
 const SUPPORTED: &str = "supported are ROS 1 bags (format 2.0), ROS 2 bags (MCAP or SQLite, a file or a folder \
     with metadata.yaml), the same wrapped in zstd, gzip or bzip2, network captures (pcap, pcapng) of Velodyne and \
     Ouster lidars, folders of KITTI, and CARMEN and CoreSLAM logs";
 
-/// How much of a file is looked at to tell its format.
+/// Number of bytes at the start of a file that are used to recognise its format.
 const PREFIX_BYTES: usize = 256;
 
-/// Opens a recording: a bag, an MCAP file, an SQLite database of ROS 2, a text log, any of them compressed
-/// as a whole, a network capture, a folder of KITTI, or a folder with the files of one recording. Extensions
-/// do not matter. Raw packets of Velodyne and Ouster lidars are shown as clouds.
+/// Opens a recording: a bag, an MCAP file, an SQLite database of ROS 2, a text log, any of them compressed as
+/// a whole, a network capture, a folder of KITTI, or a folder with the files of one recording. Extensions are
+/// ignored. Raw packets of Velodyne and Ouster lidars are decoded to clouds.
 ///
 /// # Errors
 /// Fails if the file cannot be read, is of no known format, is encrypted, or holds nothing readable.
@@ -30,7 +30,7 @@ pub fn open(path: impl AsRef<Path>) -> Result<Box<dyn Recording>, RecordingError
     packets::unpacked(open_as_it_is(path.as_ref())?)
 }
 
-/// Opens a recording without a look into raw packets.
+/// Opens a recording without decoding raw packets.
 fn open_as_it_is(path: &Path) -> Result<Box<dyn Recording>, RecordingError> {
     let path = &*named(path);
     regular_file(path).map_err(|error| io_error(path, error))?;
@@ -56,8 +56,8 @@ fn open_as_it_is(path: &Path) -> Result<Box<dyn Recording>, RecordingError> {
     }
 }
 
-/// Opens several recordings as one, for example the parts of a split bag: merged by log time, at equal
-/// times in the order given.
+/// Opens several recordings as one, for example the parts of a split bag. They are merged by log time, at
+/// equal times in the order given.
 ///
 /// # Errors
 /// Fails if one of them cannot be opened, or if there is none.
@@ -77,7 +77,7 @@ pub fn open_all<P: AsRef<Path>>(paths: &[P]) -> Result<Box<dyn Recording>, Recor
     }
 }
 
-/// Opens a bag, MCAP file, database or text log whose bytes lie in memory. `name` is used in messages.
+/// Opens a bag, MCAP file, database or text log from bytes in memory. `name` is used in messages.
 ///
 /// # Errors
 /// As [`open`].
@@ -124,7 +124,8 @@ fn open_container(source: &Source, prefix: &[u8]) -> Result<Option<Box<dyn Recor
     })
 }
 
-/// Opens the files of a folder. A file that cannot be read is a counted loss unless all are.
+/// Opens the files of a folder. A file that cannot be read is counted as lost; it is an error if all of them
+/// fail.
 fn open_folder(path: &Path) -> Result<Box<dyn Recording>, RecordingError> {
     let Some(found) = folder::files(path, &is_container)? else {
         return Err(RecordingError::UnknownFormat {
@@ -150,7 +151,7 @@ fn open_folder(path: &Path) -> Result<Box<dyn Recording>, RecordingError> {
     }
 }
 
-/// Whether a file is a bag, MCAP file or database, wrapped or not.
+/// Whether a file is a bag, MCAP file or database, compressed as a whole or not.
 fn is_container(path: &Path) -> bool {
     let prefix =
         Source::File(path.into()).open().and_then(|mut file| Ok(file.peek(0, PREFIX_BYTES)?.to_vec()));
@@ -191,12 +192,12 @@ impl Wrapper {
 fn wrapped_prefix(path: &Path, wrapper: Wrapper) -> Result<Vec<u8>, RecordingError> {
     let mut prefix = Vec::new();
     let reader = wrapper.reader(path).map_err(|error| io_error(path, error))?;
-    // What cannot be decompressed is no container.
+    // Bytes that cannot be decompressed are not a container.
     let _ = reader.take(PREFIX_BYTES as u64).read_to_end(&mut prefix);
     Ok(prefix)
 }
 
-/// Containers are read at random places, so that a compressed one is unpacked into a temporary file first.
+/// Decompresses a container into a temporary file first, because containers need random access.
 fn open_wrapped(path: &Path, wrapper: Wrapper) -> Result<Box<dyn Recording>, RecordingError> {
     let mut issues = IssueLog::default();
     let file = UnpackedFile::write(|unpacked| unpack(path, wrapper, unpacked, &mut issues));
@@ -207,7 +208,7 @@ fn open_wrapped(path: &Path, wrapper: Wrapper) -> Result<Box<dyn Recording>, Rec
     Ok(Box::new(MergedRecording::new(vec![recording], issues.list())))
 }
 
-/// Unpacks what can be unpacked.
+/// Decompresses everything that can be decompressed.
 fn unpack(path: &Path, wrapper: Wrapper, into: &mut dyn io::Write, issues: &mut IssueLog) -> io::Result<()> {
     let mut reader = wrapper.reader(path)?;
     let mut left = most_unpacked(std::fs::metadata(path)?.len());
@@ -236,7 +237,7 @@ fn io_error(path: &Path, source: io::Error) -> RecordingError {
     RecordingError::Io { path: path.to_owned(), source }
 }
 
-/// What a text of numbers is likely to be, by how many stand in its first line.
+/// The likely kind of a text of numbers, from the number of columns of its first line.
 fn kind_of_numbers(start: &[u8]) -> Option<&'static str> {
     let text = std::str::from_utf8(start).unwrap_or_default();
     let mut lines = text.split_inclusive('\n').filter(|line| line.ends_with('\n') && !line.starts_with('#'));
@@ -252,7 +253,7 @@ fn kind_of_numbers(start: &[u8]) -> Option<&'static str> {
     }
 }
 
-/// What is wrong with a compressed file that is no recording: it is damaged from its beginning, or it holds something else.
+/// Why a compressed file is not a recording: it is damaged from its beginning, or it holds something else.
 fn compressed(path: &Path, prefix: &[u8]) -> String {
     let inner =
         Wrapper::sniff(prefix).and_then(|wrapper| wrapped_prefix(path, wrapper).ok()).unwrap_or_default();

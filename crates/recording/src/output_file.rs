@@ -7,7 +7,7 @@ use portolan_atomic_file::{AtomicFile, WriteError};
 
 use crate::RecordingError;
 
-/// A file that appears when it is complete, or not at all.
+/// A file that appears only when it is complete.
 pub(crate) struct OutputFile {
     file: AtomicFile,
     position: u64,
@@ -47,12 +47,12 @@ impl OutputFile {
         Ok(())
     }
 
-    /// Replaces bytes that were written before.
+    /// Replaces bytes that were already written.
     pub(crate) fn overwrite(&mut self, offset: u64, bytes: &[u8]) -> Result<(), RecordingError> {
         self.file.overwrite(offset, bytes).map_err(|source| failed(self.file.error(source)))
     }
 
-    /// Gives the file its name.
+    /// Completes the file and gives it its name.
     pub(crate) fn finish(self) -> Result<(), RecordingError> {
         self.file.commit().map_err(failed)
     }

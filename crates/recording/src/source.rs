@@ -1,4 +1,4 @@
-//! The interface of every recording format.
+//! The common interface of all recording formats.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -8,15 +8,14 @@ use portolan_geometry::Time;
 use crate::RecordedMessage;
 use portolan_issue::Issue;
 
-/// What one topic of a recording holds, as far as the container's index tells without reading every
-/// message.
+/// Properties of one topic of a recording, from the container's index, without reading every message.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TopicInfo {
     /// Name.
     pub topic: Arc<str>,
     /// ROS type as `package/Type`.
     pub type_name: Arc<str>,
-    /// Number of messages, if the index knows it.
+    /// Number of messages, if the index has it.
     pub count: Option<u64>,
 }
 
@@ -36,7 +35,7 @@ pub enum RecordingError {
     UnknownFormat {
         /// Which file.
         path: PathBuf,
-        /// What was found, and what to do.
+        /// What was found, and what the user can do.
         detail: String,
     },
     /// The file is damaged beyond what could be repaired.
@@ -54,7 +53,7 @@ pub enum RecordingError {
     Unsupported {
         /// Which file.
         path: PathBuf,
-        /// Why, and what to do.
+        /// Why, and what the user can do.
         detail: String,
     },
     /// A recording could not be written.
@@ -71,16 +70,17 @@ pub enum RecordingError {
         /// Which one, and why.
         detail: String,
     },
-    /// What was asked for or given beside a recording, such as a robot description, could not be used.
+    /// Something else that the user requested or supplied with a recording, such as a robot description,
+    /// could not be used.
     #[error("{detail}")]
     Description {
-        /// What is wrong and what to do.
+        /// What is wrong, and what the user can do.
         detail: String,
     },
 }
 
-/// A recording that can be read from start to end, any number of times. Memory stays independent of
-/// its length.
+/// A recording that can be read from start to end, any number of times. The memory use does not depend on its
+/// length.
 pub trait Recording: Send {
     /// For example "ROS 1 bag 2.0 (lz4)".
     fn format(&self) -> String;
@@ -94,20 +94,20 @@ pub trait Recording: Send {
     /// Size in bytes on disk, for progress.
     fn size_bytes(&self) -> u64;
 
-    /// Starts reading from the beginning, messages in order of log time (ties in file order).
-    /// Only topics for which `wanted` returns true are decoded; the others are skipped unread.
+    /// Starts reading from the beginning, messages in order of log time (ties in file order). Only topics for
+    /// which `wanted` returns true are decoded.
     fn read(&self, wanted: &dyn Fn(&TopicInfo) -> bool) -> Result<Box<dyn MessageReader>, RecordingError>;
 }
 
 /// One pass over a recording.
 pub trait MessageReader: Send {
-    /// The next message, or `None` at the end. Damage that can be survived is repaired and counted;
-    /// an error ends the pass.
+    /// The next message, or `None` at the end. Recoverable damage is repaired and counted; an error ends the
+    /// pass.
     fn next_message(&mut self) -> Result<Option<RecordedMessage>, RecordingError>;
 
     /// Bytes of the file consumed so far, for progress.
     fn position_bytes(&self) -> u64;
 
-    /// What was repaired or left out so far, by kind.
+    /// Repairs and losses so far, by kind.
     fn issues(&self) -> Vec<Issue>;
 }

@@ -1,32 +1,36 @@
-//! Whether the stamps of a sensor tell when it measured.
+//! Detects whether the stamps of a sensor are its times of measurement.
 
 use portolan_geometry::Time;
 use portolan_numeric::quantile;
 
-/// The mean interval is taken over so many messages.
+/// Maximum number of intervals over which the mean interval is taken.
 const MEAN_OVER: usize = 50;
-/// Means that differ by more than this factor are of no steady sensor.
+/// Maximum ratio of the longest to the shortest mean interval (95 % and 5 % quantiles) of a sensor with a
+/// steady rate.
 const STEADY: f64 = 2.0;
-/// Fraction of messages in bursts, or with earlier stamps than the one before, from which stamps are not believed.
-/// Real logs with good stamps have at most 0.03 in any window (odometry of aces), intel 0.17 to 0.87.
+/// Fraction of messages in bursts, or with an earlier stamp than the message before, above which stamps are
+/// rejected. Real logs with good stamps have at most 0.03 in any window (odometry of aces), intel 0.17 to
+/// 0.87.
 const MOST_IN_BURSTS: f64 = 0.1;
-/// Slower sensors are triggered or thinned out: no rate is to be expected of them, seconds.
+/// Maximum period of a sensor with a steady rate, seconds. Slower sensors are triggered or thinned out and
+/// have no expected rate.
 const LONGEST_PERIOD: f64 = 1.0;
 
-/// What the stamps of one sensor are like, in order of arrival.
+/// Statistics of the stamps of one sensor, in order of arrival.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StampPattern {
     /// Usual interval, seconds.
     pub period: f64,
-    /// Fraction of messages in bursts or with earlier stamps than the one before.
+    /// Fraction of messages in bursts or with an earlier stamp than the message before.
     pub disturbed: f64,
-    /// What makes intervals differ.
+    /// Causes of the variation of intervals.
     pub noise: StampNoise,
 }
 
-/// Why the intervals of a sensor differ: stamps `s_k = t_k + n_k` of times `t_(k+1) = t_k + period + w_k`. What is wrong with one
-/// stamp makes the interval before it longer and the one after it shorter; what the sensor does itself has no such trace. So the
-/// covariance of neighbouring intervals is that of the stamps, negated, and the rest of their variance is the sensor's.
+/// Why the intervals of a sensor vary: stamps `s_k = t_k + n_k` of times `t_(k+1) = t_k + period + w_k`. An
+/// error of one stamp makes the interval before it longer and the one after it shorter; jitter of the sensor
+/// itself has no such effect. So the negated covariance of neighbouring intervals is the variance of the
+/// stamps, and the rest of the variance of the intervals comes from the sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StampNoise {
     /// Standard deviation of stamps, seconds.
@@ -36,7 +40,7 @@ pub struct StampNoise {
 }
 
 impl StampNoise {
-    /// From stamps in order of arrival. Intervals longer or shorter than usual by more than a period count as that.
+    /// From stamps in order of arrival. Deviations from the usual interval are clamped to one period.
     fn of(stamps: &[Time], period: f64) -> Self {
         let intervals = stamps.iter().zip(stamps.iter().skip(1));
         let off: Vec<f64> =
@@ -53,12 +57,12 @@ impl StampNoise {
 }
 
 impl StampPattern {
-    /// Fewer stamps do not tell what they are like.
+    /// Minimum number of stamps for an estimate.
     pub const ENOUGH: usize = 60;
-    /// Messages closer than this fraction of the period came in a burst.
+    /// Fraction of the period; messages closer than this came in a burst.
     pub const BURST: f64 = 0.25;
 
-    /// Of a sensor that measures at a steady rate; none for others, and for too few stamps.
+    /// Statistics of a sensor that measures at a steady rate; none for other sensors, and for too few stamps.
     pub fn of(stamps: &[Time]) -> Option<Self> {
         let mean_over = MEAN_OVER.min(stamps.len() / 4);
         if stamps.len() < Self::ENOUGH {
@@ -83,7 +87,7 @@ impl StampPattern {
         Some(Self { period, disturbed, noise: StampNoise::of(stamps, period) })
     }
 
-    /// Whether stamps like these do not tell when it was measured.
+    /// Whether the stamps are too disturbed to be times of measurement.
     pub fn is_disturbed(&self) -> bool {
         self.disturbed > MOST_IN_BURSTS
     }
@@ -104,7 +108,7 @@ mod tests {
         assert!((steady.period - 0.2).abs() < 0.001 && !steady.is_disturbed(), "{steady:?}");
         let bursts = pattern(|k| (0.2 * f64::from(k) / 0.9).ceil() * 0.9 + 0.001 * f64::from(k % 5)).unwrap();
         assert!((bursts.period - 0.2).abs() < 0.02 && bursts.is_disturbed(), "{bursts:?}");
-        // A clock that tells whole seconds.
+        // A clock with a resolution of one second.
         let coarse = pattern(|k| (0.2 * f64::from(k)).floor()).unwrap();
         assert!((coarse.period - 0.2).abs() < 0.001 && coarse.is_disturbed(), "{coarse:?}");
         assert_eq!(pattern(|k| 4.0 * f64::from(k)), None);

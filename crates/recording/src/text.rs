@@ -1,4 +1,4 @@
-//! Text logs line by line: plain, gzip or bzip2, complete or cut off.
+//! Reads text logs line by line: plain, gzip or bzip2, complete or cut off.
 //!
 //! Short logs (up to 64 MiB of text) are decompressed once and kept, because a recording is read
 //! more than once; longer ones are decompressed again in every pass.
@@ -17,11 +17,11 @@ use crate::{
     CarmenLog, CarmenOptions, CoreSlamLog, Recording, RecordingError, looks_like_carmen, looks_like_coreslam,
 };
 
-/// Most text that is kept in memory.
+/// Maximum size of a text that is kept in memory, bytes.
 const CACHE_BYTES: u64 = 64 << 20;
-/// Longest line that is looked at; a scan of 100,000 beams has less.
+/// Maximum length of a line, bytes; a scan of 100,000 beams is shorter.
 const LINE_BYTES: usize = 1 << 20;
-/// How much is looked at to recognise a format.
+/// Number of bytes at the start of a text that are used to recognise its format.
 const PREFIX_BYTES: u64 = 1 << 17;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,11 +47,11 @@ pub(crate) struct TextFile {
     path: PathBuf,
     size_bytes: u64,
     compression: Compression,
-    /// The whole text, unless it is too long.
+    /// The whole text, unless it is too long to keep.
     cached: Option<CachedText>,
 }
 
-/// Text in memory, and what ended it early.
+/// Text in memory, and the error that ended it early.
 type CachedText = (Arc<[u8]>, Option<String>);
 
 impl TextFile {
@@ -62,7 +62,7 @@ impl TextFile {
         Ok(text)
     }
 
-    /// Finds out size and compression only.
+    /// Determines size and compression only.
     fn probe(path: &Path) -> Result<Self, RecordingError> {
         let io_error = |source| RecordingError::Io { path: path.to_owned(), source };
         let mut file = File::open(path).map_err(io_error)?;
@@ -93,7 +93,7 @@ impl TextFile {
         Ok(file)
     }
 
-    /// The log of whatever format the beginning of the text is of.
+    /// Opens the text as a log of the format that its beginning has; `None` if it has none.
     fn into_log(self, prefix: &[u8]) -> Result<Option<Box<dyn Recording>>, RecordingError> {
         if looks_like_carmen(prefix) {
             return Ok(Some(Box::new(CarmenLog::of(self, CarmenOptions::default())?)));
@@ -104,7 +104,7 @@ impl TextFile {
         Ok(None)
     }
 
-    /// Where the file is, for messages.
+    /// Path of the file, for messages.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -136,12 +136,12 @@ impl TextFile {
         Ok((stream, position))
     }
 
-    /// What comes out of the file, as far as it may.
+    /// The decompressed text, with a limit on its size.
     fn unpacked(&self, unpacker: impl Read + Send + 'static) -> Box<dyn BufRead + Send> {
         Box::new(BufReader::new(Bounded { unpacker, left: most_unpacked(self.size_bytes) }))
     }
 
-    /// What is damaged of a compressed file, which ends there; errors of the disk are errors.
+    /// Describes the damage of a compressed file, which ends there; other read errors are returned as errors.
     fn damage(&self, error: std::io::Error) -> Result<String, RecordingError> {
         let damaged = matches!(
             error.kind(),
@@ -167,7 +167,7 @@ impl TextFile {
         }
     }
 
-    /// Starts at the first line.
+    /// Starts reading at the first line.
     pub fn lines(&self) -> Result<Lines, RecordingError> {
         let source = match &self.cached {
             Some((bytes, _)) => Source::Memory(Cursor::new(bytes.clone())),
@@ -180,11 +180,11 @@ impl TextFile {
     }
 }
 
-/// Opens a text log of any format, compressed or not; `None` if it begins like none of them.
+/// Opens a text log of any format, compressed or not; `None` if its beginning is of no known format.
 pub fn open_text_log(path: &Path) -> Result<Option<Box<dyn Recording>>, RecordingError> {
     let file = TextFile::probe(path)?;
     let mut prefix = Vec::new();
-    // What cannot be decompressed is no text log.
+    // If nothing can be decompressed, it is not a text log.
     let _ = file.stream()?.0.take(PREFIX_BYTES).read_to_end(&mut prefix);
     if looks_like_carmen(&prefix) || looks_like_coreslam(&prefix) {
         return TextFile::open(path)?.into_log(&prefix);
@@ -192,8 +192,8 @@ pub fn open_text_log(path: &Path) -> Result<Option<Box<dyn Recording>>, Recordin
     Ok(None)
 }
 
-/// As [`open_text_log`], for a file whose bytes lie in memory; `name` is used in messages. Text beyond
-/// 64 MiB is a counted loss.
+/// As [`open_text_log`], for bytes in memory; `name` is used in messages. Text beyond 64 MiB is lost, and the
+/// loss is counted.
 pub fn open_text_log_bytes(name: &Path, bytes: &[u8]) -> Result<Option<Box<dyn Recording>>, RecordingError> {
     let file = TextFile::from_bytes(name, bytes)?;
     let prefix: Vec<u8> =
@@ -201,8 +201,8 @@ pub fn open_text_log_bytes(name: &Path, bytes: &[u8]) -> Result<Option<Box<dyn R
     file.into_log(&prefix)
 }
 
-/// Unpacked text, which ends with an error where more comes out than a recording of that size holds: a few bytes must not keep
-/// every pass busy for hours.
+/// Decompressed text. It ends with an error if it is longer than a recording of that file size can be, so
+/// that a few bytes cannot keep every pass busy for hours.
 struct Bounded<R> {
     unpacker: R,
     left: u64,
@@ -254,8 +254,7 @@ pub(crate) struct Lines {
 }
 
 impl Lines {
-    /// The next line without its end, `None` after the last. Lines that are too long are passed over
-    /// and counted.
+    /// The next line without its end, `None` after the last. Lines that are too long are skipped and counted.
     pub fn next_line(&mut self) -> Result<Option<&[u8]>, RecordingError> {
         loop {
             let stream: &mut dyn BufRead = match &mut self.source {
@@ -283,12 +282,12 @@ impl Lines {
         }
     }
 
-    /// How many lines were too long to look at.
+    /// Number of lines that were skipped because they are too long.
     pub fn overlong(&self) -> u64 {
         self.overlong
     }
 
-    /// What ended the file early, once the end is reached.
+    /// The damage that ended the file early, once the end is reached.
     pub fn damage(&self) -> Option<&str> {
         self.damage.as_deref()
     }

@@ -1,4 +1,4 @@
-//! Writing recordings that other tools open.
+//! Writes recordings that other tools can open.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use crate::{RecordedMessage, RecordingError};
 pub enum BagCompression {
     /// None: fastest to write.
     None,
-    /// LZ4: half the size at hardly any cost.
+    /// LZ4: half the size, little time.
     #[default]
     Lz4,
     /// Bzip2: smallest and slow.
@@ -30,12 +30,12 @@ pub enum McapCompression {
     Zstd,
 }
 
-/// What to write.
+/// Format of the recording to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RecordingFormat {
     /// ROS 1 bag 2.0.
     Ros1Bag(BagCompression),
-    /// MCAP of the profile `ros2`: messages in CDR, their definitions included.
+    /// MCAP with the profile `ros2`: messages in CDR, with their definitions.
     Mcap(McapCompression),
 }
 
@@ -56,19 +56,19 @@ impl RecordingFormat {
     }
 }
 
-/// A recording being written. It appears under its name, whole, when it is finished; dropped before,
-/// nothing remains. The same messages give the same bytes.
+/// A recording being written. The file appears under its name when it is finished; if the writer is dropped
+/// before, no file remains. The same messages give the same bytes.
 pub trait RecordingWriter: Send {
     /// Appends a message. Log times may come in any order; readers sort. A message that cannot be written
     /// ([`RecordingError::Unwritable`]: [`Message::Other`](crate::Message::Other), a stamp that the format
-    /// cannot hold) leaves the recording as it was.
+    /// cannot represent) does not change the recording.
     fn write(&mut self, message: &RecordedMessage) -> Result<(), RecordingError>;
 
     /// Writes the index and gives the file its name.
     fn finish(self: Box<Self>) -> Result<(), RecordingError>;
 }
 
-/// Starts a recording; without a format the extension decides.
+/// Starts a recording; without a format, the extension of the path decides.
 pub fn create(
     path: impl AsRef<Path>,
     format: Option<RecordingFormat>,

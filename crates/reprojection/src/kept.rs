@@ -1,8 +1,8 @@
-//! Scans kept from mapping, so that pictures need no second reading of the recording.
+//! Stores scans during mapping, so that pictures are drawn without reading the recording a second time.
 //!
-//! What is kept of a scan is what local SLAM took of it: thinned, but as it was measured, so that the final
-//! trajectory de-skews it. It waits on disk, in a file without a name that is gone when nobody holds it, whatever
-//! happens. Memory is that of one buffer, however long the recording is.
+//! Stored are the points that local SLAM used: thinned out, but as measured, so that the final trajectory can
+//! de-skew them. They are stored in a nameless file on disk, which disappears with its last user, even after a
+//! crash. Memory is that of one buffer, however long the recording is.
 
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Seek as _, Write as _};
@@ -16,27 +16,28 @@ use portolan_sensor::{TimedPoint, TimedPointCloudData};
 
 use super::{MapPoint, RangeLimits, Reprojected, Reprojector, SmoothMotion};
 
-/// Bytes that are written or read at a time.
+/// Size of the buffer for writing and for reading, bytes.
 const BUFFER: usize = 1 << 17;
-/// Bytes before the points of a scan: its time in ticks, metres and seconds of a step, how many points.
+/// Size of the header of a scan, bytes: time in ticks, resolution in metres, resolution in seconds, number of points.
 const HEAD: usize = 20;
-/// Bytes of a point: steps along x, y and z, and back in time.
+/// Size of a point, bytes: x, y and z in steps of the resolution, and the time back from that of the scan in steps.
 const POINT: usize = 8;
-/// Coordinates are this many steps at most, either way: 3 mm each in a scan that reaches 100 m.
+/// Largest coordinate in steps, of either sign: steps of 3 mm in a scan that reaches 100 m.
 const STEPS: f32 = 32_767.0;
 const STEPS_OF_TIME: f32 = 65_535.0;
-/// Points kept of a scan, evenly spread over those there are: some 300 kB a second.
+/// Maximum number of points stored of a scan, evenly spread over all of its points: some 300 kB a second.
 const MOST_POINTS: usize = 4096;
-/// While there are few scans more is kept of them, so that short recordings have full pictures: of the n-th scan this
-/// many points divided by n.
+/// Early scans are stored with more points, so that short recordings have full pictures: of the n-th scan up to this
+/// number of points divided by n.
 const FIRST_POINTS: usize = 2_000_000;
 const FIRST_SCANS: u64 = (FIRST_POINTS / MOST_POINTS) as u64;
-/// After those a scan shows new places if it is so far from the last one that was kept: seconds, metres, radians.
+/// After `FIRST_SCANS` scans only those are stored that differ by more than this from the last stored one:
+/// seconds, metres, radians.
 const FAR: (f64, f64, f64) = (0.5, 0.02, 0.005);
-/// Local SLAM left out what is out of range.
+/// No range limits: local SLAM has already dropped points out of range.
 const ALL: RangeLimits = RangeLimits { min_range: 0.0, max_range: f32::INFINITY };
 
-/// What local SLAM took of the scans of a recording, on disk.
+/// Points that local SLAM used of the scans of a recording, on disk.
 #[derive(Debug, Default)]
 pub struct KeptScans {
     file: Option<BufWriter<Disk<File>>>,
@@ -47,7 +48,7 @@ pub struct KeptScans {
 }
 
 impl KeptScans {
-    /// Keeps scans in a file in this folder, which has no name and vanishes with its last user.
+    /// Stores scans in a nameless file in this folder, which disappears with its last user.
     pub fn in_folder(folder: &Path) -> Self {
         let file = nameless_file(folder);
         let last = Some(MotionFilter::new(FAR.0, FAR.1, FAR.2));
@@ -57,8 +58,8 @@ impl KeptScans {
         }
     }
 
-    /// Keeps a scan that shows new places: its points in the tracking frame, and where that was. When the disk is full
-    /// everything is forgotten, and [`KeptScans::failure`] says so.
+    /// Stores a scan that shows a new part of the map: its points in the tracking frame, and the pose of that
+    /// frame. When the disk is full all scans are dropped, and [`KeptScans::failure`] returns the error.
     pub fn keep(&mut self, time: Time, local_from_tracking: &Rigid3, points: &[SweepPoint]) {
         let is_similar = |last: &mut MotionFilter| last.is_similar(time, local_from_tracking);
         if !self.last.as_mut().is_none_or(is_similar) || self.scans < FIRST_SCANS {
@@ -68,12 +69,12 @@ impl KeptScans {
 
     fn keep_points(&mut self, time: Time, points: &[SweepPoint]) {
         let Some(file) = &mut self.file else { return };
-        // Place and time of a point, finite.
+        // Position and time of a point, if finite.
         let values = |p: &SweepPoint| {
             let values = [p.position.x, p.position.y, p.position.z, p.time];
             values.iter().all(|v| v.is_finite()).then_some(values)
         };
-        // A micrometre and a microsecond at least, so that steps are never nothing.
+        // At least a micrometre and a microsecond, so that the steps are never zero.
         let (mut farthest, mut earliest) = (1e-6_f32, -1e-6_f32);
         for [x, y, z, offset] in points.iter().filter_map(values) {
             farthest = farthest.max(x.abs()).max(y.abs()).max(z.abs());
@@ -87,7 +88,7 @@ impl KeptScans {
         let spread = (0..wanted).map(|i| &points[i * points.len() / wanted]);
         let (per_step, per_step_of_time) = (1.0 / step, 1.0 / step_of_time);
         for [x, y, z, offset] in spread.filter_map(values) {
-            // Rounded by cutting off, for `round` is a call on machines of no particular kind.
+            // Rounds by truncation: `round` is a function call on generic CPU targets.
             let [x, y, z] = [x, y, z].map(|v| ((v * per_step + 0.5_f32.copysign(v)) as i16).to_le_bytes());
             let [g, h] = ((0.5 - offset * per_step_of_time) as u16).to_le_bytes();
             self.bytes.extend_from_slice(&[x[0], x[1], y[0], y[1], z[0], z[1], g, h]);
@@ -104,12 +105,12 @@ impl KeptScans {
     }
 
     fn fail(&mut self, error: io::Error) {
-        // What is in the buffer would be written when it is dropped.
+        // Dropping a `BufWriter` would write its buffer: take it apart instead.
         drop(self.file.take().map(BufWriter::into_parts));
         self.failure = Some(error);
     }
 
-    /// Ends the keeping: everything is in the file.
+    /// Ends recording: flushes the buffer to the file and frees memory.
     pub fn finish(&mut self) {
         if let Some(Err(error)) = self.file.as_mut().map(BufWriter::flush) {
             self.fail(error);
@@ -117,22 +118,23 @@ impl KeptScans {
         self.bytes = Vec::new();
     }
 
-    /// Why scans that were to be kept are not there.
+    /// Error that ended the storing of scans, if any.
     pub fn failure(&self) -> Option<&io::Error> {
         self.failure.as_ref()
     }
 
-    /// Whether every scan was kept.
+    /// Whether scans are stored and no error has occurred.
     pub fn is_complete(&self) -> bool {
         self.file.is_some()
     }
 
-    /// Places points by the motion of a finished trajectory: each n-th of every scan, all for `every` = 1; those
-    /// outside of the trajectory are left out and counted. `visit` gets the points of each scan, which have its time and no intensity, and stops everything by returning
-    /// false. To be called after [`KeptScans::finish`], as often as needed.
+    /// Re-projects the stored points by the motion of a finished trajectory: every n-th point of each scan (n
+    /// = `every`), all for `every` = 1. Points outside of the trajectory are left out and counted. `visit`
+    /// gets the points of each scan, with their times and without intensity. It ends the re-projection by
+    /// returning false. To be called after [`KeptScans::finish`], as often as needed.
     ///
     /// # Errors
-    /// The file cannot be read, or nothing was kept.
+    /// The file cannot be read, or nothing was stored.
     pub fn reproject(
         &self,
         motion: &SmoothMotion,
@@ -161,7 +163,7 @@ impl KeptScans {
     }
 }
 
-/// Reads each n-th point of the next scan.
+/// Reads every n-th point of the next scan.
 fn read_scan(
     reader: &mut impl Read,
     every: usize,
@@ -215,7 +217,7 @@ mod tests {
         kept
     }
 
-    /// Going straight on with 20 m/s, turned.
+    /// Straight motion at 20 m/s with a constant, rotated orientation.
     fn pose(scan: f64) -> Rigid3 {
         Rigid3::new(Vector3::new(2.0 * scan, 2.0, 3.0), Vector3::new(0.1, 0.2, 0.3))
     }
@@ -234,12 +236,12 @@ mod tests {
                 for (placed, point) in placed.iter().zip(expected).filter(|_| scan > 1) {
                     let place = pose(scan as f64 + 10.0 * f64::from(point.time));
                     let error = (Point3::from(placed.position) - place * point.position.cast::<f64>()).norm();
-                    // Half a step along each axis, and of the way of half a step of time.
+                    // Half a step along each axis, and the distance travelled in half a step of time.
                     assert!(error < 0.002, "{scan}: {error}");
                 }
                 scan < 2 || placed.len() == 200 || scan == 40
             });
-            // Before the second scan ends nothing is known of the motion.
+            // Before the end of the second scan the motion is unknown.
             let expected =
                 Reprojected { points: 38 * 200 + 1, outside_trajectory: 399, ..Reprojected::default() };
             assert_eq!(reprojected.unwrap(), expected);

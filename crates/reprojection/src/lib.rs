@@ -15,37 +15,37 @@ use motion::{LONGEST_SWEEP, SweepMotion, place};
 /// A point in the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapPoint {
-    /// Metres in the map.
+    /// Position in the map, metres.
     pub position: [f64; 3],
-    /// As the sensor gave it; 0 without.
+    /// Intensity as reported by the sensor; 0 if it reports none.
     pub intensity: f32,
     /// Seconds since 1970.
     pub time: f64,
 }
 
-/// What became of points.
+/// Numbers of points that were placed and left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Reprojected {
     /// Placed in the map.
     pub points: u64,
-    /// Before the first or after the last pose of the trajectory, or in a gap of it.
+    /// Before the first pose of the trajectory, after the last one, or in a gap.
     pub outside_trajectory: u64,
-    /// Nearer or farther than wanted.
+    /// Out of the range limits.
     pub outside_range: u64,
-    /// Whether it was stopped before the end.
+    /// Whether re-projection was stopped before the end.
     pub interrupted: bool,
 }
 
-/// Which points to take, by their distance from the sensor.
+/// Limits of the distance of points from the sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RangeLimits {
-    /// Nearer ones are left out, metres.
+    /// Points nearer than this are left out, metres.
     pub min_range: f32,
-    /// Farther ones are left out, metres.
+    /// Points farther than this are left out, metres.
     pub max_range: f32,
 }
 
-/// Places the points of sweeps in the map, each by the pose at its own time.
+/// Transforms the points of sweeps into the map, each by the pose at its own time.
 pub struct Reprojector<'a> {
     motion: &'a SmoothMotion,
     limits: RangeLimits,
@@ -55,19 +55,19 @@ pub struct Reprojector<'a> {
 }
 
 impl<'a> Reprojector<'a> {
-    /// By the motion of a finished trajectory.
+    /// Uses the motion of a finished trajectory.
     pub fn new(motion: &'a SmoothMotion, limits: RangeLimits) -> Self {
         let (points, sweep_motion) = (Vec::new(), SweepMotion::default());
         Self { motion, limits, sweep_motion, points, reprojected: Reprojected::default() }
     }
 
-    /// What became of all points so far.
+    /// Counts of all points so far.
     pub fn reprojected(&self) -> Reprojected {
         self.reprojected
     }
 
-    /// The points of a sweep, which are in the tracking frame, in the map; those without a pose or out of range are left out
-    /// and counted.
+    /// Transforms the points of a sweep from the tracking frame into the map. Points without a pose or out of
+    /// range are left out and counted.
     pub fn place(&mut self, sweep: &TimedPointCloudData) -> &[MapPoint] {
         self.points.clear();
         let first = f64::from(sweep.points_in_tracking.iter().map(|p| p.time).fold(0.0, f32::min));

@@ -1,4 +1,4 @@
-//! Where the tracking frame was at any time, from the poses of a finished trajectory.
+//! Interpolates the pose of the tracking frame at any time from the poses of a finished trajectory.
 
 use std::ops::RangeInclusive;
 
@@ -6,14 +6,14 @@ use portolan_geometry::{
     Duration, Rigid3, Time, Vector3, angle_axis_from_quaternion, nalgebra as na, quaternion_from_angle_axis,
 };
 
-/// Poses this many usual intervals apart, and at least `GAP_SECONDS`, have a gap between them.
+/// An interval between poses is a gap if it is longer than this many median intervals and than `GAP_SECONDS`.
 const GAP_INTERVALS: f64 = 5.0;
 const GAP_SECONDS: f64 = 1.0;
-/// Larger turns from pose to pose are interpolated on the sphere alone, radians.
+/// Rotations between poses above this angle are interpolated by slerp instead of the cubic, radians.
 const SMALL_TURN: f64 = 0.7;
 
 /// A smooth motion through poses: cubic between neighbours (Catmull-Rom on positions and on rotation vectors
-/// about the pose before), so that the bobbing of a walk between scans is kept.
+/// relative to the pose before), so that the vertical bobbing of a walking person between scans is kept.
 #[derive(Clone, Debug)]
 pub struct SmoothMotion {
     poses: Vec<(Time, Rigid3)>,
@@ -21,7 +21,7 @@ pub struct SmoothMotion {
 }
 
 impl SmoothMotion {
-    /// From `map_from_tracking` at times; later ones of the same time are left out.
+    /// Builds the motion from timed `map_from_tracking`; of several poses of the same time the first is used.
     pub fn new(mut poses: Vec<(Time, Rigid3)>) -> Self {
         poses.sort_by_key(|(time, _)| *time);
         poses.dedup_by_key(|(time, _)| *time);
@@ -31,12 +31,12 @@ impl SmoothMotion {
         Self { poses, gap_seconds: GAP_SECONDS.max(GAP_INTERVALS * usual) }
     }
 
-    /// First and last time; none without poses.
+    /// First and last time; none if there are no poses.
     pub fn span(&self) -> Option<(Time, Time)> {
         Some((self.poses.first()?.0, self.poses.last()?.0))
     }
 
-    /// `map_from_tracking`; none before the first and after the last pose, and in gaps between them.
+    /// `map_from_tracking`; none before the first pose, after the last one, and in gaps.
     pub fn pose(&self, time: Time) -> Option<Rigid3> {
         let after = self.poses.partition_point(|(t, _)| *t < time);
         let (end_time, end) = self.poses.get(after)?;
@@ -48,7 +48,7 @@ impl SmoothMotion {
         Some(self.between(before, time.seconds_since(self.poses[before].0) / span))
     }
 
-    /// Whether the motion is known all along; the ends are of the same stretch without gaps.
+    /// Whether the motion is known at all of these times: both ends are in one segment without gaps.
     pub fn covers(&self, times: RangeInclusive<Time>) -> bool {
         let (from, to) = (times.start(), times.end());
         let first = self.poses.partition_point(|(t, _)| t <= from);
@@ -57,13 +57,13 @@ impl SmoothMotion {
         starts && (first - 1..last).all(|i| self.step(i).is_some())
     }
 
-    /// Seconds from pose `index` to the next; none if there is a gap or no next.
+    /// Seconds from pose `index` to the next; none if there is a gap or no next pose.
     fn step(&self, index: usize) -> Option<f64> {
         let seconds = self.poses.get(index + 1)?.0.seconds_since(self.poses.get(index)?.0);
         (seconds <= self.gap_seconds).then_some(seconds)
     }
 
-    /// The pose at a fraction of the way from `index` to the next.
+    /// Pose between `index` and the next one at a fraction of the time between them, 0 to 1.
     fn between(&self, index: usize, share: f64) -> Rigid3 {
         let (start, end) = (&self.poses[index].1, &self.poses[index + 1].1);
         let start_from = |pose: &Rigid3| {
@@ -100,8 +100,8 @@ impl SmoothMotion {
     }
 }
 
-/// Cubic from `v0` to `v1`; `before` and `after` are the neighbours with their distance in time, in units of
-/// the step. Without one the end is straight.
+/// Cubic Hermite interpolation from `v0` to `v1`. `before` and `after` are the neighbours, each with its distance in
+/// time in units of the step. An end without a neighbour has the slope of the straight line.
 fn hermite(
     v0: Vector3,
     v1: Vector3,
@@ -117,20 +117,21 @@ fn hermite(
     v0 * (2.0 * t3 - 3.0 * t2 + 1.0) + m0 * (t3 - 2.0 * t2 + t) + v1 * (3.0 * t2 - 2.0 * t3) + m1 * (t3 - t2)
 }
 
-/// Motion during one sweep as matrices, interpolated element by element.
+/// Motion during one sweep as matrices, which are interpolated element by element.
 #[derive(Clone, Debug, Default)]
 pub(super) struct SweepMotion {
     step: f64,
     rows: Vec<[f64; 12]>,
 }
 
-/// Seconds between matrices: a turn of 5 rad/s is off by less than 0.01 %.
+/// Seconds between matrices: at 5 rad/s the error of the linear interpolation is below 0.01 %.
 const STEP: f64 = 0.005;
-/// Longer sweeps are placed pose by pose, seconds.
+/// Longest sweep that is placed by matrices; in longer ones each pose is interpolated by itself, seconds.
 pub(super) const LONGEST_SWEEP: f64 = 20.0;
 
 impl SweepMotion {
-    /// Takes the motion between two times, which it must cover and which are not too far apart.
+    /// Samples the motion between two times, which should be less than `LONGEST_SWEEP` apart; false if it
+    /// does not cover them.
     pub fn fill(&mut self, motion: &SmoothMotion, from: Time, to: Time) -> bool {
         self.rows.clear();
         let seconds = to.seconds_since(from);
@@ -144,7 +145,7 @@ impl SweepMotion {
         true
     }
 
-    /// A point of the tracking frame, `seconds` after the start of the sweep, in the map.
+    /// Transforms a point of the tracking frame, `seconds` after the start of the sweep, into the map.
     #[inline]
     pub fn to_map(&self, seconds: f64, point: [f32; 3]) -> [f64; 3] {
         let at = (seconds / self.step).clamp(0.0, (self.rows.len() - 1) as f64);
@@ -167,7 +168,7 @@ fn apply(m: &[f64; 12], point: [f32; 3]) -> [f64; 3] {
     [0, 4, 8].map(|row| m[row] * x + m[row + 1] * y + m[row + 2] * z + m[row + 3])
 }
 
-/// A point of the tracking frame in the map.
+/// Transforms a point of the tracking frame into the map.
 pub(super) fn place(pose: &Rigid3, point: [f32; 3]) -> [f64; 3] {
     apply(&matrix(pose), point)
 }

@@ -12,7 +12,7 @@ fn at(seconds: f64) -> Time {
     Time::from_ros(1_700_000_000, 0) + Duration::from_seconds(seconds)
 }
 
-/// Walking in a curve, bobbing twice a second.
+/// Walking along a curve, bobbing twice a second.
 fn walk(t: f64) -> Rigid3 {
     let place = Vector3::new(1.2 * t, (0.3 * t).sin(), 0.03 * (12.0 * t).sin());
     let turn = Vector3::new(0.03 * (6.0 * t).sin(), 0.02 * (12.0 * t).cos(), 0.5 * t);
@@ -24,7 +24,7 @@ fn poses(skip: std::ops::Range<usize>) -> Vec<(Time, Rigid3)> {
     (0..100).filter(|i| !skip.contains(i)).map(|i| (at(seconds(i)), walk(seconds(i)))).collect()
 }
 
-/// A sweep of 0.1 s that always sees one place of the map.
+/// A sweep of 0.1 s whose points all measure one point of the map.
 fn sweep(end: f64, seen: na::Point3<f64>) -> TimedPointCloudData {
     let point = |i: i32| {
         let time = -0.001 * f64::from(100 - i);
@@ -55,7 +55,7 @@ fn a_place_seen_while_walking_is_one_place() {
         assert_eq!((points[7].intensity, points[100].time), (7.0, at(end).unix_seconds()));
         largest = largest.max(distances(&points, seen));
     }
-    // Straight lines between the poses would be off by 30 mm.
+    // Linear interpolation between the poses would be off by 30 mm.
     assert!(largest < 0.012, "{largest}");
 }
 

@@ -1,4 +1,4 @@
-//! From bytes to messages: the layout of every understood type.
+//! Decodes messages of every supported type from bytes.
 
 use std::sync::Arc;
 
@@ -9,14 +9,14 @@ use crate::{
     PointCloud2, PointField, Pose, PoseStamped, SensorPackets, TfMessage, TransformStamped,
 };
 
-/// Decodes messages and shares the names of frames between them, so that a name is not allocated anew
-/// for every message.
+/// Decodes messages. The names of frames are shared between messages, so that they are not allocated for
+/// every message.
 #[derive(Default)]
 pub struct Decoder {
     frames: Vec<Arc<str>>,
 }
 
-/// A recording has few frames; one with more gets its further names unshared.
+/// Maximum number of frame names that are shared; a recording has few frames. Further names are not shared.
 const MAX_SHARED_FRAMES: usize = 64;
 
 type Decoded<T> = Result<T, DecodeError>;
@@ -90,7 +90,7 @@ impl Decoder {
         Ok(Header { stamp: r.time()?, frame_id: self.frame(r)? })
     }
 
-    /// `readings` reads the ranges and then the intensities of all beams.
+    /// `readings` reads the readings of all beams; it is called for the ranges, then for the intensities.
     fn laser_scan<'a, R>(
         &mut self,
         r: &mut WireReader<'a>,
@@ -172,12 +172,12 @@ impl Decoder {
         Ok(TfMessage { is_static, transforms })
     }
 
-    /// Points of Livox's own message, as a cloud: x, y, z, intensity, and nanoseconds after the stamp.
+    /// Decodes Livox's own message to a cloud: x, y, z, intensity, and nanoseconds after the stamp.
     fn livox_points(&mut self, r: &mut WireReader<'_>) -> Decoded<PointCloud2> {
         let header = self.header(r)?;
         let _base_time = r.u64()?;
         let _number = r.u32()?;
-        // Number of the lidar, and three bytes that mean nothing.
+        // Number of the lidar, and three reserved bytes.
         let _lidar = r.byte_array(4)?;
         let count = r.sequence_length(19)?;
         let mut data = Vec::with_capacity(20 * count);
@@ -198,7 +198,8 @@ impl Decoder {
         Ok(PointCloud2 { header, height, width, fields, is_bigendian, point_step, row_step, data, is_dense })
     }
 
-    /// Points of which each channel holds another value, as a cloud. Channels with a value for some points alone are left out.
+    /// Decodes a cloud whose channels each hold one value per point. Channels that do not have a value for
+    /// every point are dropped.
     fn point_cloud_1(&mut self, r: &mut WireReader<'_>) -> Decoded<PointCloud2> {
         let header = self.header(r)?;
         let points: Vec<[f32; 3]> = sequence(r, 12, |r| Ok([r.f32()?, r.f32()?, r.f32()?]))?;
@@ -230,7 +231,7 @@ impl Decoder {
     }
 }
 
-/// A number of four bytes in each point of a cloud.
+/// A field of type `f32` in each point of a cloud.
 fn float_field(name: &str, offset: u32) -> PointField {
     PointField { name: name.to_owned(), offset, field_type: Some(FieldType::Float32), count: 1 }
 }

@@ -1,8 +1,8 @@
-//! Message definitions, as containers carry them so that other tools can decode what we write.
+//! Message definitions, which containers include so that other tools can decode the messages that we write.
 
 use std::fmt::Write;
 
-/// Which of the two languages of message definitions.
+/// Language of message definitions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Dialect {
     /// ROS 1: `time` is a primitive and headers are numbered.
@@ -11,7 +11,7 @@ pub enum Dialect {
     Ros2,
 }
 
-/// MD5 sum that ROS 1 compares types by, of a type that can be written.
+/// MD5 sum of a type that can be written; ROS 1 compares types by it.
 pub fn md5sum(type_name: &str) -> Option<&'static str> {
     Some(match type_name {
         "sensor_msgs/LaserScan" => "90c7ef2dc6895d81024acba2ac42f369",
@@ -28,7 +28,7 @@ pub fn md5sum(type_name: &str) -> Option<&'static str> {
     })
 }
 
-/// The full definition: the type's own fields, then those of every type it is made of.
+/// The full definition: the fields of the type, then those of every type that it contains.
 pub fn definition(type_name: &str, dialect: Dialect) -> Option<String> {
     let mut text = fields(type_name, dialect)?.to_owned();
     let mut done = vec![type_name];

@@ -1,4 +1,4 @@
-//! From messages to bytes: the layout of every understood type.
+//! Encodes messages of every supported type to bytes.
 
 use crate::wire_writer::{EncodeError, WireWriter};
 use crate::{
@@ -8,7 +8,7 @@ use crate::{
 
 type Encoded = Result<(), EncodeError>;
 
-/// Serialises a message for ROS 2 (`is_cdr`) or ROS 1 into `buffer`, whose memory is reused.
+/// Serialises a message for ROS 2 (`is_cdr`) or ROS 1 into `buffer`, which is reused.
 pub fn encode(message: &Message, is_cdr: bool, buffer: Vec<u8>) -> Result<Vec<u8>, EncodeError> {
     let mut writer = WireWriter::new(is_cdr, buffer);
     let w = &mut writer;
@@ -33,7 +33,7 @@ pub fn encode(message: &Message, is_cdr: bool, buffer: Vec<u8>) -> Result<Vec<u8
 
 fn header(w: &mut WireWriter, header: &Header) -> Encoded {
     if !w.is_cdr() {
-        w.u32(0); // sequence number: nobody may rely on it
+        w.u32(0); // sequence number; readers must not rely on it
     }
     w.time(header.stamp)?;
     w.string(&header.frame_id)

@@ -22,7 +22,7 @@ pub enum Encoding {
     Ros1,
     /// OMG CDR (XCDR1) with its four-byte encapsulation header.
     Cdr,
-    /// Something else: its messages are listed, not decoded.
+    /// Another encoding: its messages are listed, but not decoded.
     Unknown,
 }
 
@@ -35,7 +35,7 @@ pub enum MessageKind {
     MultiEchoLaserScan,
     /// `sensor_msgs/PointCloud2`.
     PointCloud2,
-    /// `sensor_msgs/PointCloud`, the form of before 2012.
+    /// `sensor_msgs/PointCloud`, the format before 2012.
     PointCloud1,
     /// `sensor_msgs/Imu`.
     Imu,
@@ -55,7 +55,7 @@ pub enum MessageKind {
     VelodyneScan,
     /// `PacketMsg` of Ouster's drivers.
     OusterPacket,
-    /// Text, of which only what a sensor tells about itself is decoded.
+    /// Text; only sensor metadata are decoded from it.
     Text,
 }
 

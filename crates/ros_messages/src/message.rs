@@ -1,6 +1,6 @@
-//! Messages as recordings carry them, independent of the container and of ROS 1 or ROS 2.
+//! Messages of recordings, independent of the container and of ROS 1 or ROS 2.
 //!
-//! Values stand as in the message: frames, units and NaN included. Checking and conversion to
+//! Values are the same as in the message, including frames, units and NaN. Validation and conversion to
 //! measurements in the tracking frame happen later.
 
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use portolan_geometry::Time;
 /// Stamp and frame of a message.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Header {
-    /// When it was measured.
+    /// Time of measurement.
     pub stamp: Time,
     /// Frame of its values (without a leading slash).
     pub frame_id: Arc<str>,
@@ -21,13 +21,13 @@ pub struct Header {
 pub struct RecordedMessage {
     /// Topic it was recorded on.
     pub topic: Arc<str>,
-    /// When it was recorded (not when it was measured).
+    /// Time of recording (not of measurement).
     pub log_time: Time,
     /// Its content.
     pub message: Message,
 }
 
-/// The messages that mean something to mapping.
+/// The types of messages that mapping uses.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Message {
     /// `sensor_msgs/LaserScan`.
@@ -46,23 +46,23 @@ pub enum Message {
     Tf(TfMessage),
     /// `geometry_msgs/PoseStamped`.
     PoseStamped(PoseStamped),
-    /// `geometry_msgs/TransformStamped`: written only; readers list it as a type that is not understood.
+    /// `geometry_msgs/TransformStamped`: only written; readers list it as an unsupported type.
     TransformStamped(TransformStamped),
     /// `cartographer_ros_msgs/LandmarkList`.
     LandmarkList(LandmarkList),
-    /// Packets as a sensor sent them. Where a recording is opened by `portolan-recording`, the clouds and
-    /// IMU samples that they hold stand in their place.
+    /// Packets as sent by a sensor. If `portolan-recording` opens a recording, it replaces them by the clouds
+    /// and IMU samples that they contain.
     SensorPackets(SensorPackets),
-    /// A type that is listed but not understood.
+    /// A type that is listed but not supported.
     Other {
         /// Its name, as `package/Type` (ROS 2's `/msg/` removed).
         type_name: Arc<str>,
-        /// Size of the serialised message.
+        /// Size of the serialised message, bytes.
         bytes: usize,
     },
 }
 
-/// `sensor_msgs/LaserScan`: metres, radians, seconds. `R` is what a beam reads: one range, or several.
+/// `sensor_msgs/LaserScan`: metres, radians, seconds. `R` is the reading of a beam: one range, or several.
 #[derive(Clone, Debug, PartialEq)]
 #[allow(missing_docs)] // the fields are those of the ROS message
 pub struct LaserScan<R = f32> {
@@ -131,7 +131,7 @@ impl FieldType {
 pub struct PointField {
     /// `x`, `y`, `z`, `intensity`, `time`, …
     pub name: String,
-    /// Bytes from the start of a point.
+    /// Offset from the start of a point, bytes.
     pub offset: u32,
     /// `None` for a code that the format does not define.
     pub field_type: Option<FieldType>,
@@ -139,7 +139,7 @@ pub struct PointField {
     pub count: u32,
 }
 
-/// `sensor_msgs/PointCloud2` with its bytes as they are.
+/// `sensor_msgs/PointCloud2` with its bytes unchanged.
 #[derive(Clone, Debug, PartialEq)]
 #[allow(missing_docs)] // the fields are those of the ROS message
 pub struct PointCloud2 {
@@ -167,12 +167,12 @@ pub struct Imu {
     pub linear_acceleration_covariance: [f64; 9],
 }
 
-/// Position (metres) and quaternion (x, y, z, w) as they stand in a message.
+/// Position (metres) and quaternion (x, y, z, w) as in a message.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     /// Metres.
     pub position: [f64; 3],
-    /// x, y, z, w; not checked.
+    /// x, y, z, w; not validated.
     pub orientation_xyzw: [f64; 4],
 }
 
@@ -181,9 +181,9 @@ pub struct Pose {
 pub struct Odometry {
     /// Stamp and the odometry frame.
     pub header: Header,
-    /// Frame whose pose it is.
+    /// Frame that the pose is of.
     pub child_frame_id: Arc<str>,
-    /// Child in the odometry frame.
+    /// Pose of the child frame in the odometry frame.
     pub pose: Pose,
     /// Row-major 6×6, as in the message.
     pub pose_covariance: Vec<f64>,
@@ -200,7 +200,7 @@ pub struct Odometry {
 #[allow(missing_docs)] // the fields are those of the ROS message
 pub struct NavSatFix {
     pub header: Header,
-    /// Below zero there is no fix.
+    /// Negative values mean that there is no fix.
     pub status: i8,
     pub service: u16,
     pub latitude_degrees: f64,
@@ -242,9 +242,9 @@ pub struct PoseStamped {
 /// One entry of `cartographer_ros_msgs/LandmarkList`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LandmarkEntry {
-    /// Identity of the landmark.
+    /// Id of the landmark.
     pub id: String,
-    /// Landmark in the frame of the list.
+    /// Pose of the landmark in the frame of the list.
     pub tracking_from_landmark: Pose,
     /// 1/m.
     pub translation_weight: f64,
@@ -257,18 +257,18 @@ pub struct LandmarkEntry {
 pub struct LandmarkList {
     /// Stamp and frame.
     pub header: Header,
-    /// What was seen.
+    /// The observed landmarks.
     pub landmarks: Vec<LandmarkEntry>,
 }
 
-/// What sent packets.
+/// Kind of packets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PacketKind {
     /// `velodyne_msgs/VelodyneScan`.
     Velodyne,
     /// `ouster_ros/PacketMsg`: lidar or IMU.
     Ouster,
-    /// `std_msgs/String` with what an Ouster tells about itself (JSON).
+    /// `std_msgs/String` with the metadata of an Ouster (JSON).
     OusterMetadata,
 }
 
@@ -283,14 +283,14 @@ impl PacketKind {
     }
 }
 
-/// Packets as a sensor sent them.
+/// Packets as sent by a sensor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorPackets {
-    /// What sent them.
+    /// Kind of packets.
     pub kind: PacketKind,
-    /// Stamp and frame, where the message has them.
+    /// Stamp and frame, if the message has them.
     pub header: Option<Header>,
-    /// Time of arrival, where the message has it, and bytes.
+    /// Time of arrival, if the message has it, and bytes of each packet.
     pub packets: Vec<(Option<Time>, Vec<u8>)>,
 }
 
@@ -313,7 +313,7 @@ impl Message {
         }
     }
 
-    /// Stamp and frame, where the type has them.
+    /// Stamp and frame, if the type has them.
     pub fn header(&self) -> Option<&Header> {
         match self {
             Self::LaserScan(m) => Some(&m.header),

@@ -1,4 +1,4 @@
-//! Golden bytes: what ROS itself writes, put together by hand.
+//! Compares with golden bytes: the output of ROS itself, assembled by hand.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ fn decode(kind: MessageKind, encoding: Encoding, bytes: &[u8]) -> Result<Message
     Decoder::default().decode(kind, encoding, "/topic", bytes).map_err(|error| error.to_string())
 }
 
-/// Appends values at CDR alignment, of either byte order.
+/// Appends values with CDR alignment, in either byte order.
 struct Golden {
     bytes: Vec<u8>,
     big_endian: bool,
@@ -78,7 +78,7 @@ fn cdr_is_aligned_and_of_either_byte_order() {
         let padded = [bytes.as_slice(), &[0; 3]].concat();
         assert_eq!(decode(MessageKind::NavSatFix, Encoding::Cdr, &padded).unwrap(), expected);
         if !big_endian {
-            // Stamps are kept to 100 ns only.
+            // Stamps have a resolution of 100 ns.
             let mut written = encode(&expected, true, Vec::new()).unwrap();
             written[8..12].copy_from_slice(&345u32.to_le_bytes());
             assert_eq!(written, bytes);

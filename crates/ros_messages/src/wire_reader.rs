@@ -1,4 +1,4 @@
-//! Primitive values of ROS 1 serialisation and CDR.
+//! Reads primitive values of ROS 1 serialisation and CDR.
 
 use std::borrow::Cow;
 
@@ -57,7 +57,7 @@ impl<'a> WireReader<'a> {
         self.is_cdr
     }
 
-    /// All bytes must have been used. CDR allows padding to a multiple of eight at the end.
+    /// Checks that all bytes were used. CDR allows padding to a multiple of eight at the end.
     pub(crate) fn finish(&self) -> Result<(), DecodeError> {
         let left = self.data.len() - self.position;
         if left > if self.is_cdr { 7 } else { 0 } {
@@ -79,7 +79,7 @@ impl<'a> WireReader<'a> {
         Ok(self.u8()? != 0)
     }
 
-    /// A stamp: unsigned seconds in ROS 1, signed ones in ROS 2.
+    /// A stamp: unsigned seconds in ROS 1, signed seconds in ROS 2.
     pub(crate) fn time(&mut self) -> Result<Time, DecodeError> {
         let seconds = if self.is_cdr { i64::from(self.i32()?) } else { i64::from(self.u32()?) };
         Ok(Time::from_ros(seconds, self.u32()?))
@@ -94,8 +94,8 @@ impl<'a> WireReader<'a> {
         Ok(array)
     }
 
-    /// The length of a sequence whose elements take at least `element_bytes` each: never more elements
-    /// than the rest of the message can hold.
+    /// The length of a sequence whose elements take at least `element_bytes` each. It is an error if the
+    /// elements do not fit into the rest of the message.
     pub(crate) fn sequence_length(&mut self, element_bytes: usize) -> Result<usize, DecodeError> {
         let length = self.u32()? as usize;
         if length.checked_mul(element_bytes).is_none_or(|bytes| bytes > self.data.len() - self.position) {
@@ -104,7 +104,7 @@ impl<'a> WireReader<'a> {
         Ok(length)
     }
 
-    /// Text; what is not UTF-8 is replaced.
+    /// Text; invalid UTF-8 is replaced.
     pub(crate) fn string(&mut self) -> Result<Cow<'a, str>, DecodeError> {
         let length = self.sequence_length(1)?;
         let mut bytes = self.take(length)?;
@@ -116,7 +116,7 @@ impl<'a> WireReader<'a> {
         Ok(String::from_utf8_lossy(bytes))
     }
 
-    /// `count` bytes without a length in front.
+    /// `count` bytes, without a length before them.
     pub(crate) fn byte_array(&mut self, count: usize) -> Result<Vec<u8>, DecodeError> {
         Ok(self.take(count)?.to_vec())
     }

@@ -1,4 +1,4 @@
-//! Primitive values written as ROS 1 serialisation or little-endian CDR.
+//! Writes primitive values in ROS 1 serialisation or little-endian CDR.
 
 use portolan_geometry::Time;
 
@@ -13,7 +13,7 @@ pub(crate) struct WireWriter {
     is_cdr: bool,
 }
 
-/// Size of CDR's encapsulation header; alignment counts from behind it.
+/// CDR's encapsulation header; alignment counts from its end.
 const CDR_HEADER: [u8; 4] = [0, 1, 0, 0];
 
 macro_rules! primitive {
@@ -69,7 +69,7 @@ impl WireWriter {
         values.iter().for_each(|value| self.f64(*value));
     }
 
-    /// An array of exactly `N` doubles; an empty one stands for zeros.
+    /// An array of exactly `N` doubles; an empty slice stands for zeros.
     pub(crate) fn f64_array_of<const N: usize>(&mut self, values: &[f64]) -> Result<(), EncodeError> {
         match values.len() {
             0 => self.f64_array(&[0.0; N]),

@@ -1,12 +1,12 @@
-//! Puts the data of several sensors in order of time (`spec/slam2d.md` §2).
+//! Sorts the data of several sensors by time (`spec/slam2d.md` §2).
 //!
-//! Every sensor has a queue. A datum is given out when every other sensor has one that is later, so
-//! that what comes out is in order although sensors report with different delays. Before all sensors
-//! of a trajectory have started, only the last datum of each is kept.
+//! Every sensor has a queue. A datum is output when every other sensor has a later one, so the output is in
+//! order although sensors report with different delays. Until all sensors of a trajectory have started, only
+//! the last datum of each is kept.
 //!
-//! Unlike Cartographer, nothing that a sensor does stops the others for ever: a silent one is waited
-//! for only up to a [`WaitLimit`], and data that come too late are counted and dropped. What is given
-//! out depends on the order of the calls alone.
+//! Unlike in Cartographer, no sensor can block the others for ever. A silent sensor is waited for only up to
+//! a [`WaitLimit`], and data that come too late are counted and dropped. The output depends only on the order
+//! of the calls.
 
 mod queues;
 #[cfg(test)]
@@ -19,18 +19,18 @@ use portolan_geometry::{Duration, Time};
 use crate::SensorId;
 use queues::Queues;
 
-/// Unknown sensors that are distinguished in the counts; further ones are counted together.
+/// Maximum number of unknown sensors that are counted separately; further ones are counted together.
 const MAX_UNKNOWN_SENSORS: usize = 256;
 
-/// How long data wait for a silent sensor, before they are given out without it. The wait is a delay,
-/// not an end: as long as the sensor is silent, data are held back by this much, and everything it
-/// sends within that delay takes its place.
+/// How long data wait for a silent sensor before they are output without it. This is a delay, not a timeout:
+/// while the sensor is silent, data are held back by this much, and data that it sends within that delay are
+/// still sorted in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WaitLimit {
-    /// Largest span from the oldest to the newest waiting datum of one sensor; default 3 s. Raise it
-    /// for sensors that report with a longer delay.
+    /// Maximum span from the oldest to the newest waiting datum of one sensor; default 3 s. Raise it for
+    /// sensors that report with a longer delay.
     pub data_time: Duration,
-    /// Largest number of waiting data of one sensor, for those whose stamps stand still; default 4000.
+    /// Maximum number of waiting data of one sensor, for sensors whose stamps do not advance; default 4000.
     pub queued_items: usize,
 }
 
@@ -43,11 +43,11 @@ impl Default for WaitLimit {
 /// How a [`Collator`] orders data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CollatorOptions {
-    /// Every trajectory is ordered on its own, instead of all together (where a silent sensor of one
-    /// holds back all). Default `false`.
+    /// Whether every trajectory is ordered on its own, instead of all together (where a silent sensor of one
+    /// trajectory delays all). Default `false`.
     pub by_trajectory: bool,
-    /// How long to wait for a silent sensor; `None` waits for ever, as Cartographer does, with all
-    /// data of the others in memory.
+    /// How long to wait for a silent sensor. With `None` the wait has no limit, as in Cartographer, and all
+    /// data of the others are kept in memory.
     pub wait_limit: Option<WaitLimit>,
 }
 
@@ -57,16 +57,16 @@ impl Default for CollatorOptions {
     }
 }
 
-/// A datum in its place.
+/// A datum in the ordered output.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CollatedItem<P> {
     /// The trajectory that it belongs to.
     pub trajectory_id: u32,
     /// The sensor that it came from.
     pub sensor_id: SensorId,
-    /// When it was measured.
+    /// Time of the measurement.
     pub time: Time,
-    /// What was measured.
+    /// The measurement.
     pub payload: P,
 }
 
@@ -75,34 +75,34 @@ pub struct CollatedItem<P> {
 pub struct CollatorReport {
     /// Its trajectory.
     pub trajectory_id: u32,
-    /// Which.
+    /// The sensor.
     pub sensor_id: SensorId,
-    /// Its last datum, if there ever was one.
+    /// Time of its last datum, if there was one.
     pub last_time: Option<Time>,
 }
 
-/// What became of the data of one sensor.
+/// Counts of the data of one sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SensorCounts {
     /// Data that arrived.
     pub received: u64,
-    /// Data that were given out.
+    /// Data that were output.
     pub dispatched: u64,
     /// Dropped: before all sensors had started.
     pub before_start: u64,
     /// Dropped: older than an earlier datum of the same sensor, or with a stamp far in the future.
     pub out_of_order: u64,
-    /// Dropped: older than data of other sensors that had already been given out.
+    /// Dropped: older than data of other sensors that had already been output.
     pub late: u64,
-    /// How often the others had to go on without it.
+    /// How often data of the others were output without waiting for this sensor.
     pub stalls: u64,
 }
 
-/// Merges the data of many sensors, in order of time. Call [`Collator::add`], then
-/// [`Collator::pop`] until there is nothing left.
+/// Merges the data of many sensors by time. After each [`Collator::add`] call [`Collator::pop`] until nothing
+/// is left.
 pub struct Collator<P> {
     options: CollatorOptions,
-    /// One set of queues for all (under 0), or one per trajectory.
+    /// One set of queues for all trajectories (under 0), or one per trajectory.
     groups: BTreeMap<u32, Queues<P>>,
     ready: VecDeque<CollatedItem<P>>,
     reports: Vec<CollatorReport>,
@@ -127,7 +127,7 @@ impl<P> Collator<P> {
         if self.options.by_trajectory { trajectory_id } else { 0 }
     }
 
-    /// Expects data of these sensors. Sensors that are already expected stay as they are.
+    /// Registers the sensors of a trajectory. Sensors that are already registered stay as they are.
     pub fn add_trajectory(&mut self, trajectory_id: u32, sensors: impl IntoIterator<Item = SensorId>) {
         let limit = self.options.wait_limit;
         let group_id = self.group_of(trajectory_id);
@@ -137,7 +137,7 @@ impl<P> Collator<P> {
         }
     }
 
-    /// Takes one datum. Data of sensors that are not expected (any more) are counted and dropped.
+    /// Adds one datum. Data of sensors that are not registered, or finished, are counted and dropped.
     pub fn add(&mut self, trajectory_id: u32, sensor_id: &SensorId, time: Time, payload: P) {
         let key = (trajectory_id, sensor_id.clone());
         let group_id = self.group_of(trajectory_id);
@@ -158,7 +158,7 @@ impl<P> Collator<P> {
         }
     }
 
-    /// Expects no more data of a trajectory; what is waiting is given out as far as others allow.
+    /// Ends the data of a trajectory; its waiting data are output as soon as others allow.
     pub fn finish_trajectory(&mut self, trajectory_id: u32) {
         let group_id = self.group_of(trajectory_id);
         if let Some(group) = self.groups.get_mut(&group_id) {
@@ -167,7 +167,7 @@ impl<P> Collator<P> {
         }
     }
 
-    /// Expects no more data at all and gives out everything that is waiting.
+    /// Ends all data and outputs everything that is waiting.
     pub fn flush(&mut self) {
         for group in self.groups.values_mut() {
             group.finish(None);
@@ -175,13 +175,13 @@ impl<P> Collator<P> {
         }
     }
 
-    /// The next datum in order, if one can be given out.
+    /// The next datum in order, if one is ready.
     pub fn pop(&mut self) -> Option<CollatedItem<P>> {
         self.ready.pop_front()
     }
 
-    /// The sensor that data of other trajectories may have to wait for. None when trajectories are
-    /// ordered on their own, because then they never do.
+    /// The sensor for which data of other trajectories may have to wait. `None` if trajectories are ordered
+    /// on their own, because then they never wait for each other.
     pub fn blocking(&self) -> Option<&(u32, SensorId)> {
         if self.options.by_trajectory { None } else { self.groups.get(&0)?.blocking() }
     }
@@ -191,17 +191,17 @@ impl<P> Collator<P> {
         std::mem::take(&mut self.reports)
     }
 
-    /// What became of the data, by trajectory and sensor.
+    /// Counts of the data, by trajectory and sensor.
     pub fn counts(&self) -> BTreeMap<(u32, SensorId), SensorCounts> {
         self.groups.values().flat_map(Queues::counts).map(|(key, counts)| (key.clone(), counts)).collect()
     }
 
-    /// Data of sensors that were not expected, by trajectory and sensor.
+    /// Data of sensors that were not registered, by trajectory and sensor.
     pub fn unknown(&self) -> &BTreeMap<(u32, SensorId), u64> {
         &self.unknown
     }
 
-    /// Data of further unexpected sensors, which are too many to tell apart.
+    /// Data of further unregistered sensors, which are too many to count separately.
     pub fn unknown_others(&self) -> u64 {
         self.unknown_others
     }

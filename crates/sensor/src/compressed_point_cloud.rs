@@ -1,4 +1,4 @@
-//! Point clouds as maps store them: millimetres in blocks of 1.024 m (`spec/formats.md` §4.3).
+//! Point clouds as stored in maps: millimetres in blocks of 1.024 m (`spec/formats.md` §4.3).
 
 use portolan_geometry::Point3f;
 use thiserror::Error;
@@ -10,15 +10,15 @@ const GRID: f32 = 0.001;
 /// Bits per coordinate within a block.
 const BITS: u32 = 10;
 const MASK: i64 = (1 << BITS) - 1;
-/// Blocks reach from minus to plus this index: 2^23 grid cells.
+/// Block indices range from minus to plus this value: 2^23 grid cells.
 const MAX_BLOCK: i64 = 1 << (23 - BITS);
-/// Integers before the points of a block: their number and the block's three indices.
+/// Number of integers before the points of a block: the count of points and the block's three indices.
 const BLOCK_HEADER: usize = 4;
 
 /// A cloud of points rounded to 1 mm, in the order of the format. Intensities are not stored.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CompressedPointCloud {
-    /// How many points there are.
+    /// Number of points.
     pub num_points: i32,
     /// Blocks one after the other: count, block x, y, z, then one integer per point.
     pub point_data: Vec<i32>,
@@ -27,7 +27,7 @@ pub struct CompressedPointCloud {
 /// Why a cloud cannot be compressed or read.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum CompressedPointCloudError {
-    /// The format reaches 8388 m.
+    /// The format covers coordinates up to 8388 m.
     #[error(
         "point {index} at ({x}, {y}, {z}) m is beyond the 8388 m that a compressed cloud can hold: limit max_range or remove it"
     )]
@@ -50,9 +50,9 @@ pub enum CompressedPointCloudError {
     /// Fewer data than claimed.
     #[error("damaged point cloud: {claimed} points are claimed but the data end after {found}")]
     Truncated {
-        /// Number in the message.
+        /// Number of points according to the message.
         claimed: i32,
-        /// Number that is there.
+        /// Number of points that are present.
         found: usize,
     },
     /// A block that no writer can have made.
@@ -79,8 +79,8 @@ impl CompressedPointCloud {
         Self::from_cells(cells)
     }
 
-    /// Like [`CompressedPointCloud::compress`], but leaves out points beyond the format's bounds and
-    /// says how many.
+    /// Like [`CompressedPointCloud::compress`], but leaves out points beyond the bounds of the format and
+    /// returns their number.
     ///
     /// # Errors
     /// If there are more points than the format can count.
@@ -104,14 +104,14 @@ impl CompressedPointCloud {
         Ok(Self { num_points, point_data })
     }
 
-    /// The points in metres, in the order of the format, not that of the original cloud. Data after the
-    /// last counted point are not looked at, as the format says.
+    /// The points in metres, in the order of the format, not that of the original cloud. Data after the last
+    /// counted point are ignored, as the format specifies.
     ///
     /// # Errors
     /// If the data are damaged.
     pub fn decompress(&self) -> Result<Vec<Point3f>, Error> {
         let wanted = usize::try_from(self.num_points).map_err(|_| Error::NegativeCount(self.num_points))?;
-        // The claim is not believed before the data are seen.
+        // Memory is allocated for the data present, not for the claimed count.
         let mut points = Vec::with_capacity(wanted.min(self.point_data.len()));
         let mut position = 0;
         while points.len() < wanted {
@@ -143,7 +143,7 @@ impl CompressedPointCloud {
 /// A point on the grid.
 #[derive(Clone, Copy)]
 struct Cell {
-    /// Sorts by block in the order of the format.
+    /// Sort key of the block in the order of the format.
     order: u64,
     block: [i32; 3],
     word: i32,
@@ -162,7 +162,7 @@ impl Cell {
     }
 }
 
-/// Blocks are ordered as the cells of a grid of grids of grids: z before y before x, the coarsest level
+/// Blocks are ordered as the cells of nested grids with three levels: z before y before x, the coarsest level
 /// first, with 64 blocks and 8 blocks to the two finer levels.
 fn block_order([x, y, z]: [i64; 3]) -> u64 {
     let coarse = |b: i64| ((b >> 6) + MAX_BLOCK) as u64;

@@ -1,13 +1,13 @@
-//! Thinning of a stream to a fixed share.
+//! Thins a stream to a fixed fraction.
 
 use thiserror::Error;
 
-/// A ratio that is no share.
+/// A ratio outside [0, 1].
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 #[error("sampling ratio {0} is not within [0, 1]: choose the share of data to keep")]
 pub struct InvalidRatio(pub f64);
 
-/// Keeps a fixed share of pulses, evenly spread; the first pulse is kept unless the ratio is zero
+/// Keeps a fixed fraction of the pulses, evenly spread. The first pulse is kept unless the ratio is zero
 /// (`spec/options.md`).
 #[derive(Clone, Debug)]
 pub struct FixedRatioSampler {
@@ -20,7 +20,7 @@ impl FixedRatioSampler {
     /// A sampler that keeps `ratio` of all pulses, 0 (none) to 1 (all).
     ///
     /// # Errors
-    /// If the ratio is not within these.
+    /// If the ratio is outside this range.
     pub fn new(ratio: f64) -> Result<Self, InvalidRatio> {
         if !(0.0..=1.0).contains(&ratio) {
             return Err(InvalidRatio(ratio));
@@ -28,7 +28,7 @@ impl FixedRatioSampler {
         Ok(Self { ratio, pulses: 0, samples: 0 })
     }
 
-    /// Counts one datum; whether to keep it.
+    /// Counts one pulse and returns whether to keep it.
     pub fn pulse(&mut self) -> bool {
         self.pulses += 1;
         let keep = self.samples as f64 / (self.pulses as f64) < self.ratio;
@@ -36,12 +36,12 @@ impl FixedRatioSampler {
         keep
     }
 
-    /// How many pulses there were.
+    /// Number of pulses.
     pub fn pulses(&self) -> u64 {
         self.pulses
     }
 
-    /// How many of them were kept.
+    /// Number of pulses that were kept.
     pub fn samples(&self) -> u64 {
         self.samples
     }

@@ -1,4 +1,4 @@
-//! What sensors report, already in the tracking frame.
+//! Measurements of sensors, already in the tracking frame.
 
 use std::sync::Arc;
 
@@ -24,7 +24,7 @@ pub enum SensorKind {
 /// One sensor of a trajectory; ordered by name as the collator needs it.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct SensorId {
-    /// Name, unique within the trajectory: the topic it came from.
+    /// Name, unique within the trajectory: the topic of the sensor.
     pub id: Arc<str>,
     /// What it measures.
     pub kind: SensorKind,
@@ -54,18 +54,18 @@ pub struct TimedPointCloudData {
 /// One IMU sample, rotated into the tracking frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImuData {
-    /// When.
+    /// Time of the sample.
     pub time: Time,
     /// Specific force, m/s²; at rest it points up with about 9.8.
     pub linear_acceleration: Vector3,
-    /// rad/s.
+    /// Angular velocity, rad/s.
     pub angular_velocity: Vector3,
 }
 
 /// One odometry pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OdometryData {
-    /// When.
+    /// Time of the pose.
     pub time: Time,
     /// Tracking frame in the odometry frame.
     pub odom_from_tracking: Rigid3,
@@ -74,22 +74,22 @@ pub struct OdometryData {
 /// One pose in a fixed frame (GNSS).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FixedFramePoseData {
-    /// When.
+    /// Time of the pose.
     pub time: Time,
-    /// Tracking frame in the fixed frame; none while there is no fix.
+    /// Tracking frame in the fixed frame; `None` while there is no fix.
     pub fixed_from_tracking: Option<Rigid3>,
 }
 
-/// What was seen of the landmarks at one time.
+/// Observations of landmarks at one time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LandmarkData {
-    /// When.
+    /// Time of the observations.
     pub time: Time,
-    /// One entry per landmark seen.
+    /// One entry per observed landmark.
     pub observations: Vec<LandmarkObservation>,
 }
 
-/// One landmark as seen at one time.
+/// Observation of one landmark.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LandmarkObservation {
     /// Identity of the landmark (any bytes in files; text here).
@@ -118,7 +118,7 @@ pub enum Measurement {
 }
 
 impl Measurement {
-    /// When it was taken.
+    /// Time of the measurement.
     pub fn time(&self) -> Time {
         match self {
             Self::Range(d) => d.time,
@@ -129,7 +129,7 @@ impl Measurement {
         }
     }
 
-    /// The kind of sensor it came from.
+    /// The kind of its sensor.
     pub fn kind(&self) -> SensorKind {
         match self {
             Self::Range(_) => SensorKind::Range,

@@ -26,12 +26,12 @@ impl PointCloud {
         Self { points, intensities: Vec::new() }
     }
 
-    /// How many points.
+    /// Number of points.
     pub fn len(&self) -> usize {
         self.points.len()
     }
 
-    /// Whether there is none.
+    /// Whether there are no points.
     pub fn is_empty(&self) -> bool {
         self.points.is_empty()
     }
@@ -42,7 +42,7 @@ impl PointCloud {
         Self { points, intensities: self.intensities.clone() }
     }
 
-    /// Keeps the points for which `keep` says so, with their intensities.
+    /// Keeps the points for which `keep` returns true, with their intensities.
     pub fn retained(&self, mut keep: impl FnMut(&Point3f) -> bool) -> Self {
         let mut result = Self::default();
         for (i, point) in self.points.iter().enumerate() {
@@ -55,14 +55,14 @@ impl PointCloud {
     }
 }
 
-/// What a range sensor saw from one place.
+/// Measurements of a range sensor from one position.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RangeData {
-    /// Where the rays start.
+    /// Start of the rays.
     pub origin: Point3f,
-    /// Where they hit something.
+    /// End points of the rays that hit something.
     pub returns: PointCloud,
-    /// Ends of rays known to be free that hit nothing.
+    /// End points of rays that hit nothing and are known to be free.
     pub misses: PointCloud,
 }
 
@@ -76,7 +76,7 @@ impl RangeData {
         }
     }
 
-    /// Keeps the band `min_z ≤ z ≤ max_z` of returns and misses.
+    /// Keeps the returns and misses with `min_z ≤ z ≤ max_z`.
     pub fn cropped_z(&self, min_z: f32, max_z: f32) -> Self {
         let keep = |p: &Point3f| min_z <= p.z && p.z <= max_z;
         Self { origin: self.origin, returns: self.returns.retained(keep), misses: self.misses.retained(keep) }

@@ -1,4 +1,4 @@
-//! Joins the messages of several range sensors over common spans of time (`spec/slam2d.md` §3).
+//! Joins the messages of several range sensors over common time spans (`spec/slam2d.md` §3).
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -7,16 +7,17 @@ use portolan_geometry::{Duration, Point3f, Time};
 
 use crate::{TimedPoint, TimedPointCloudData};
 
-/// A point with the sensor that saw it.
+/// A point with the sensor that measured it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SynchronizedPoint {
-    /// Position in the tracking frame at the point's own time; time relative to the whole, at most zero.
+    /// Position in the tracking frame at the point's own time; time relative to the end of the span, at most
+    /// zero.
     pub point: TimedPoint,
-    /// Which of the origins it was seen from.
+    /// Index of the sensor's position in `origins`.
     pub origin_index: usize,
 }
 
-/// What all range sensors saw over one span of time.
+/// The points of all range sensors over one time span.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SynchronizedRanges {
     /// End of the span.
@@ -32,20 +33,20 @@ pub struct SynchronizedRanges {
 /// Points and messages that were dropped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RangeDataCollatorCounts {
-    /// Points older than the end of the span before.
+    /// Points older than the end of the previous span.
     pub earlier_points: u64,
     /// Points whose time is not a finite number.
     pub points_without_time: u64,
-    /// Messages whose points were not in order of time, and were put in order.
+    /// Messages whose points were not in order of time; they were sorted.
     pub reordered_messages: u64,
     /// Messages of sensors that are not expected.
     pub unexpected_messages: u64,
 }
 
-/// Holds back at most one message per sensor, until every sensor has one or one has a second.
+/// Holds back at most one message per sensor, until every sensor has one or one sensor has a second.
 #[derive(Clone, Debug)]
 pub struct RangeDataCollator {
-    /// The expected sensors in ascending order of their name, with what is held back of each.
+    /// The expected sensors in ascending order of their name, with the message held back of each.
     sensors: BTreeMap<Arc<str>, Option<Pending>>,
     /// End of the last span.
     end: Time,
@@ -56,7 +57,7 @@ pub struct RangeDataCollator {
 struct Pending {
     /// Points in ascending order of time.
     data: TimedPointCloudData,
-    /// Points up to here are gone.
+    /// Number of points that were already used.
     next: usize,
 }
 
@@ -80,8 +81,8 @@ impl RangeDataCollator {
         }
     }
 
-    /// Takes a message; gives what has become complete by it. Times of messages that are taken one
-    /// after the other should not decrease, as the [`Collator`](crate::Collator) sees to.
+    /// Adds a message and returns the span that it completes, if any. The times of successive messages should
+    /// not decrease, which the [`Collator`](crate::Collator) ensures.
     pub fn add(&mut self, sensor_id: &str, data: TimedPointCloudData) -> Option<SynchronizedRanges> {
         let Some(slot) = self.sensors.get_mut(sensor_id) else {
             self.counts.unexpected_messages += 1;
@@ -102,9 +103,9 @@ impl RangeDataCollator {
         Some(self.join_until(oldest))
     }
 
-    /// Everything from the end of the last span to `end`.
+    /// All points from the end of the last span to `end`.
     fn join_until(&mut self, end: Time) -> SynchronizedRanges {
-        // Time does not run backward, whatever the messages say.
+        // The end of a span never moves backward, whatever the messages contain.
         let start = self.end;
         let end = end.max(start);
         self.end = end;
@@ -121,7 +122,7 @@ impl RangeDataCollator {
         joined
     }
 
-    /// What was dropped or repaired so far.
+    /// Counts of dropped or repaired data so far.
     pub fn counts(&self) -> RangeDataCollatorCounts {
         self.counts
     }
@@ -136,7 +137,7 @@ fn take_span(pending: &mut Pending, start: Time, end: Time, joined: &mut Synchro
     let count = rest.partition_point(|p| pending.time_of(p) <= end).saturating_sub(early);
     let correction = pending.data.time.seconds_since(end) as f32;
     let taken = rest.iter().skip(early).take(count).map(|p| SynchronizedPoint {
-        // Rounding must not put a point behind the end.
+        // Rounding must not move a point beyond the end.
         point: TimedPoint { position: p.position, time: (p.time + correction).min(0.0) },
         origin_index,
     });
@@ -153,7 +154,7 @@ fn take_span(pending: &mut Pending, start: Time, end: Time, joined: &mut Synchro
     early as u64
 }
 
-/// Points of equal time stay in the order of the sensors' names.
+/// Sorts by time. Points of equal time stay in the order of the sensors' names.
 fn sort_by_time(joined: &mut SynchronizedRanges) {
     if joined.points.is_sorted_by(|a, b| a.point.time <= b.point.time) {
         return;
@@ -168,10 +169,10 @@ fn sort_by_time(joined: &mut SynchronizedRanges) {
     (joined.points, joined.intensities) = both.into_iter().unzip();
 }
 
-/// The message with its points in ascending order of time, as many lidars do not send them.
+/// The message with its points sorted by time: many lidars do not send them in order.
 fn in_order(mut data: TimedPointCloudData, counts: &mut RangeDataCollatorCounts) -> TimedPointCloudData {
     let points = &mut data.points_in_tracking;
-    // Intensities that do not belong to the points one by one say nothing.
+    // Intensities that do not correspond to the points one by one are dropped.
     if data.intensities.len() != points.len() {
         data.intensities.clear();
     }

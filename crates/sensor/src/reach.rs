@@ -1,11 +1,12 @@
-//! How far scans see, compared with those before them.
+//! Range of scans compared with that of the scans before.
 
 use portolan_geometry::Point3f;
 
-/// About so many scans tell what is usual.
+/// Memory of the usual range, in scans.
 const SCANS_REMEMBERED: f64 = 100.0;
 
-/// Logarithm of the root mean square of the ranges of points in the frame of the scanner, of metres; none without points.
+/// Logarithm of the root-mean-square range, in metres, of points in the frame of the scanner; `None` without
+/// points.
 pub fn log_reach<'a>(points: impl Iterator<Item = &'a Point3f>) -> Option<f64> {
     let (sum, count) = points.fold((0.0, 0u32), |(sum, n), p| {
         let [x, y, z] = [p.x, p.y, p.z].map(f64::from);
@@ -14,20 +15,20 @@ pub fn log_reach<'a>(points: impl Iterator<Item = &'a Point3f>) -> Option<f64> {
     (sum > 0.0).then(|| 0.5 * (sum / f64::from(count)).ln())
 }
 
-/// How far scans usually see.
+/// Usual range of scans.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct UsualReach {
-    /// Mean of the logarithm of their reach.
+    /// Mean of the logarithm of the range.
     mean: Option<f64>,
 }
 
 impl UsualReach {
-    /// Mean of the logarithm of the reach of scans lately; none before the first.
+    /// Mean of the logarithm of the range of recent scans; `None` before the first scan.
     pub fn log_mean(&self) -> Option<f64> {
         self.mean
     }
 
-    /// Takes the logarithm of the reach of one more scan.
+    /// Adds the logarithm of the range of a scan.
     pub fn add(&mut self, reach: f64) {
         let mean = self.mean.get_or_insert(reach);
         *mean += (reach - *mean) / SCANS_REMEMBERED;

@@ -1,4 +1,4 @@
-//! Rounding as the cells of filters, grids and compressed clouds need it.
+//! Rounding for the cells of filters, grids and compressed clouds.
 
 /// Nearest integer, halves away from zero (`lround` of `spec/slam2d.md`). Exact for every finite value
 /// within `i64`; beyond it saturates, and NaN gives zero.
@@ -10,11 +10,12 @@ pub fn lround(value: f32) -> i64 {
     truncated.saturating_add(i64::from(fraction >= 0.5)).saturating_sub(i64::from(fraction <= -0.5))
 }
 
-/// [`lround`] of a number below 2^22 to both sides of zero; of others anything. (Conversions of Rust, which look for
-/// numbers beyond integers, are not compiled into vector instructions. This is.)
+/// [`lround`] of numbers of magnitude below 2^22; the result for others is arbitrary. Rust's own conversions,
+/// which saturate numbers beyond the integers, are not compiled into vector instructions; this is.
 #[inline]
 pub fn lround_small(value: f32) -> i32 {
-    // From here to twice that the numbers in single precision are the whole ones, counted by their low bits.
+    // From this value to twice it, the single-precision numbers are exactly the integers, numbered by their
+    // low bits.
     const WHOLE: f32 = (1 << 23) as f32;
     let size = value.abs();
     let to_even = size + WHOLE - WHOLE;

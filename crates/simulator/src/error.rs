@@ -1,8 +1,8 @@
-//! What can be wrong with a request.
+//! Errors of simulations.
 
 use portolan_worlds::WorldError;
 
-/// Why nothing could be simulated.
+/// Reasons why a scenario cannot be simulated.
 #[derive(Debug, thiserror::Error)]
 pub enum SimulatorError {
     /// The world cannot be drawn.
@@ -11,11 +11,11 @@ pub enum SimulatorError {
     /// An option is out of bounds.
     #[error("{option} must be {bounds}, but is {value}")]
     OutOfBounds {
-        /// Which option.
+        /// Name of the option.
         option: &'static str,
-        /// What is allowed.
+        /// Allowed values.
         bounds: String,
-        /// What was given.
+        /// The given value.
         value: f64,
     },
     /// Two sensors would write to the same topic, or topics or frames have no name.
@@ -24,25 +24,25 @@ pub enum SimulatorError {
         /// What to change.
         detail: String,
     },
-    /// A fault could not be understood.
+    /// The text of a fault is not valid.
     #[error(
         "\"{text}\" is not a fault; write one of duplicate:SENSOR:N, backward:SENSOR:N:SECONDS, \
          gap:SENSOR:FROM:TO, nan:N, empty:N, jump:SECONDS:X:Y:YAW, no-gravity, clock:SENSOR:SECONDS, \
          no-tf:SENSOR, dies:SECONDS, saturate:GYROSCOPE:ACCELEROMETER, swap-axes, where SENSOR is scan, odom or imu and N is at least 2 (nan, empty: at least 1)"
     )]
     BadFault {
-        /// What was given.
+        /// The given text.
         text: String,
     },
-    /// A fault of a sensor that is not there.
+    /// A fault of a sensor that is not recorded.
     #[error("the fault \"{text}\" has no effect: no {sensor} is recorded")]
     FaultWithoutSensor {
-        /// What was given.
+        /// The given text.
         text: String,
-        /// What is missing.
+        /// The missing sensor.
         sensor: &'static str,
     },
-    /// The robot fits nowhere.
+    /// There is no path for the robot.
     #[error(
         "the robot fits at no junction of this building; use a smaller robot_radius or less clutter, \
          or give the plan junctions"

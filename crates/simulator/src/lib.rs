@@ -1,4 +1,4 @@
-//! Buildings, lidars, IMU, wheels and walks with exact truth.
+//! Simulates buildings, lidars, IMU, wheels and walks, with exact ground truth.
 //!
 //! A [`Simulation`] draws a building from a seed ([`portolan_worlds`]), plans a smooth walk through it
 //! ([`motion`]), measures with its sensors while walking ([`sensors`]) and is a
@@ -9,8 +9,8 @@
 //! gait, and spinning lidars with any beams.
 //!
 //! The same options give the same bytes: random numbers are drawn per sensor and message from
-//! [`Random`](portolan_worlds::Random), so the number of threads does not matter, and transcendental functions come from `libm`,
-//! so the platform does not matter.
+//! [`Random`](portolan_worlds::Random), so the number of threads does not matter, and transcendental
+//! functions come from `libm`, so the platform does not matter.
 //!
 //! ```
 //! use portolan_simulator::{ScenarioOptions, Simulation};

@@ -1,4 +1,4 @@
-//! What the simulations in 2D and 3D have in common: a motion, sensors and faults, made into a recording.
+//! Common part of the simulations in 2D and 3D: a motion, sensors and faults, made into a recording.
 
 use std::sync::Arc;
 
@@ -14,15 +14,15 @@ use crate::streams::{
     AheadStream, Merged, MergedReader, ROBOT_FRAME, STATIC_TRANSFORMS, TransformStream, sensor_transform,
 };
 
-/// A topic that a simulation can make, before anything is made.
+/// A topic that a simulation can make, before any message is made.
 pub(crate) struct Channel {
     pub info: TopicInfo,
-    /// Bytes per message when written in a ROS bag, about.
+    /// Approximate size of a message in a ROS bag, bytes.
     pub message_bytes: u64,
     source: Source,
 }
 
-/// What makes the messages of a topic.
+/// Source of the messages of a topic.
 #[derive(Clone, Copy)]
 pub(crate) enum Source {
     Transforms,
@@ -34,7 +34,7 @@ pub(crate) enum Source {
 }
 
 impl Source {
-    /// What faults can be put into it.
+    /// The sensor whose faults can be put into its messages; none if it has no faults.
     fn target(self) -> Option<FaultTarget> {
         match self {
             Self::Lidar(_) => Some(FaultTarget::Scan),
@@ -45,7 +45,7 @@ impl Source {
     }
 }
 
-/// What was asked for of both kinds of simulations.
+/// Options that both kinds of simulations have.
 pub(crate) struct Request<'a> {
     pub seed: u64,
     pub faults: &'a [Fault],
@@ -53,12 +53,12 @@ pub(crate) struct Request<'a> {
     pub odometry: Option<&'a OdometryOptions>,
 }
 
-/// A motion in time.
+/// A motion with its clock.
 #[derive(Debug)]
 pub(crate) struct Timeline<M> {
     pub motion: Arc<M>,
     pub clock: Clock,
-    /// Seconds.
+    /// Length of the recording, seconds.
     pub duration: f64,
 }
 
@@ -76,9 +76,9 @@ pub(crate) struct RigLidar<'a> {
     pub base_from_lidar: Rigid3,
     pub schedule: &'a Schedule,
     pub message_bytes: u64,
-    /// Seconds.
+    /// Duration of a scan or sweep, seconds.
     pub sweep_time: f64,
-    /// Messages that are made ahead of the reader, in parallel.
+    /// Number of messages that are made ahead of the reader, in parallel.
     pub ahead: u64,
 }
 
@@ -101,12 +101,12 @@ pub(crate) trait Rig: Send + Sync + Sized + 'static {
         Vec::new()
     }
 
-    /// Frames of those, and where they are on the carrier.
+    /// Frames of those sensors, and their poses on the platform.
     fn other_frames(&self) -> Vec<(&str, Rigid3)> {
         Vec::new()
     }
 
-    /// The messages of one of those.
+    /// The messages of one of those sensors.
     fn open_other(&self, _source: Source) -> Option<Box<dyn MessageStream>> {
         None
     }
@@ -115,7 +115,7 @@ pub(crate) trait Rig: Send + Sync + Sized + 'static {
         Schedule::new(rate, self.timeline().duration, 0.0)
     }
 
-    /// All topics, ascending.
+    /// All topics, in ascending order.
     fn channels(&self) -> Vec<Channel> {
         let request = self.request();
         let mut channels = Vec::new();
@@ -150,7 +150,7 @@ pub(crate) trait Rig: Send + Sync + Sized + 'static {
     fn fault_filter(&self, source: Source) -> Option<FaultFilter> {
         let request = self.request();
         let gravity = request.imu.map_or(0.0, |imu| imu.gravity);
-        // Only the last lidar dies.
+        // The fault `dies` concerns the last lidar only.
         let lives = matches!(source, Source::Lidar(index) if index + 1 < self.lidar_count());
         let faults = request.faults.iter().filter(|f| !(lives && matches!(f, Fault::Death { .. })));
         let faults: Vec<Fault> = faults.copied().collect();
@@ -168,7 +168,7 @@ pub(crate) trait Rig: Send + Sync + Sized + 'static {
         (0..schedule.count()).filter(stays).count() as u64
     }
 
-    /// The transforms from the carrier to its sensors that are not missing on purpose.
+    /// The transforms from the platform to its sensors, without those that a fault removes.
     fn static_transforms(&self) -> Vec<TransformStamped> {
         let request = self.request();
         let is_missing = |target| request.faults.contains(&Fault::MissingTransform { target });
@@ -211,7 +211,7 @@ fn open<R: Rig>(rig: &Arc<R>, source: Source) -> Option<Box<dyn MessageStream>> 
     Some(stream)
 }
 
-/// Scans or sweeps, some made ahead in parallel.
+/// Scans or sweeps, some of them made ahead, in parallel.
 fn lidar_stream<R: Rig>(rig: Arc<R>, index: usize) -> Option<Box<dyn MessageStream>> {
     let lidar = rig.lidar(index)?;
     let (topic, count, ahead) = (Arc::clone(lidar.topic), lidar.schedule.count(), lidar.ahead);
@@ -235,18 +235,18 @@ pub(crate) fn read<R: Rig>(rig: &Arc<R>, wanted: &dyn Fn(&TopicInfo) -> bool) ->
     Box::new(MergedReader::new(streams.collect()))
 }
 
-/// Times at a rate from the start to the end of a recording.
+/// Times at this rate from the start to the end of a recording.
 pub(crate) fn moments(start: Time, duration: f64, rate: f64) -> impl Iterator<Item = Time> {
     let rate = rate.clamp(1e-3, 1e4);
     let count = (duration * rate + 1e-6).floor() as u64;
     (0..=count).map(move |i| start + Duration::from_ticks((i as f64 * 1e7 / rate).round() as i64))
 }
 
-/// What users see of both kinds of simulations alike.
+/// Public interface that both kinds of simulations share.
 macro_rules! simulation {
     ($simulation:ident, $options:ty) => {
         impl $simulation {
-            /// What was asked for.
+            /// The options.
             pub fn options(&self) -> &$options {
                 &self.inner.options
             }
@@ -293,7 +293,8 @@ macro_rules! simulation {
                 $crate::truth::write_tum(out, self.truth(rate))
             }
 
-            /// Writes all messages to a bag or MCAP file; how many. The caller finishes the file.
+            /// Writes all messages to a bag or MCAP file, and gives their number. The caller finishes the
+            /// file.
             ///
             /// # Errors
             /// If a message cannot be written.

@@ -1,4 +1,4 @@
-//! What to simulate, and checks of it.
+//! Options of a simulation in 2D, and their checks.
 
 use portolan_geometry::Time;
 
@@ -7,45 +7,46 @@ use crate::motion::MotionLimits;
 use crate::sensors::{Fault, FaultTarget, ImuOptions, LidarOptions, OdometryOptions, check_faults};
 use portolan_worlds::two_d::{PlanStyle, Scene};
 
-/// Everything that can be chosen. The defaults are a full tour of an office floor by a robot with a
-/// lidar, wheel odometry and an IMU.
+/// All options of a simulation. The defaults are a full tour of an office floor by a robot with a lidar,
+/// wheel odometry and an IMU.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ScenarioOptions {
     /// Kind of building. Default office.
     pub scene: Scene,
-    /// Everything random follows from it: building, walk, people, noise. Default 1.
+    /// Seed of everything random: building, walk, people, noise. Default 1.
     pub seed: u64,
-    /// Seed of the building alone, to walk through the same building several times; none for `seed`.
+    /// Seed of the building alone, for several walks through the same building; none for `seed`.
     pub building_seed: Option<u64>,
-    /// Width and height of the floor, metres; none for what suits the scene. At most 200 each.
+    /// Width and height of the floor, metres; none for the default of the scene. At most 200 each.
     pub size: Option<[f64; 2]>,
-    /// Seconds of the recording, at most a day; none for one full tour. Shorter tours go home early
-    /// and longer ones start over; if time is left at the end, the robot stands. Default none.
+    /// Length of the recording, seconds, at most a day; none for one full tour. A tour that takes longer
+    /// goes home early, a shorter one starts over; if time is left at the end, the robot stands. Default
+    /// none.
     pub duration: Option<f64>,
     /// True time at the start. Default 1 700 000 000 s after 1970.
     pub start_time: Time,
-    /// How many people walk about; none for what suits the scene.
+    /// Number of people who walk about; none for the default of the scene.
     pub people: Option<usize>,
     /// Fraction of doors that are closed, in [0, 1]. Default 0.2.
     pub closed_doors: f64,
-    /// How much furniture stands about: 0 none, 1 as usual, at most 3. Default 1.
+    /// Density of furniture: 0 none, 1 usual, at most 3. Default 1.
     pub clutter: f64,
-    /// Fraction of larger rooms with a glass front, in [0, 1]; 0 also takes the glass out of halls.
+    /// Fraction of larger rooms with a glass front, in [0, 1]; at 0, halls have no glass front, either.
     /// Default 0.35.
     pub glass: f64,
     /// Speed and acceleration of the robot.
     pub motion: MotionLimits,
-    /// The robot keeps this distance from everything fixed, metres. Default 0.3.
+    /// Distance that the robot keeps from all fixed surfaces, metres. Default 0.3.
     pub robot_radius: f64,
-    /// Seconds to stand at the start and at the end. Default 2.
+    /// Time to stand at the start and at the end, seconds. Default 2.
     pub rest: f64,
     /// Lidars. Default one.
     pub lidars: Vec<LidarOptions>,
-    /// Wheels; none without odometry.
+    /// Wheel odometry; none if it is not recorded.
     pub odometry: Option<OdometryOptions>,
-    /// IMU; none without.
+    /// IMU; none if it is not recorded.
     pub imu: Option<ImuOptions>,
-    /// What goes wrong. Default nothing.
+    /// Faults of the sensors. Default none.
     pub faults: Vec<Fault>,
 }
 
@@ -78,12 +79,12 @@ pub(crate) const LONGEST: f64 = 86_400.0;
 const FULL_CIRCLE: f64 = std::f64::consts::TAU;
 
 impl ScenarioOptions {
-    /// The usual options for a scene and a seed.
+    /// The default options for a scene and a seed.
     pub fn new(scene: Scene, seed: u64) -> Self {
         Self { scene, seed, ..Self::default() }
     }
 
-    /// The same scenario with exact sensors and nobody walking about.
+    /// The same scenario with exact sensors and without people.
     pub fn without_noise(self) -> Self {
         Self {
             people: Some(0),
@@ -106,7 +107,8 @@ impl ScenarioOptions {
     /// Checks every value; errors name the option and its bounds.
     ///
     /// # Errors
-    /// The first value that is outside its bounds; else missing or repeated names of sensors, or a fault of a sensor that is not there.
+    /// The first value that is outside its bounds; else missing or repeated names of sensors, or a fault of
+    /// a sensor that is not recorded.
     pub fn check(&self) -> Result<(), SimulatorError> {
         let [width, height] = self.size.unwrap_or(self.scene.default_size());
         let [least_width, least_height] = self.scene.minimum_size();
@@ -132,7 +134,8 @@ impl ScenarioOptions {
 /// The names of one sensor: its topic, and its frame if it has one.
 pub(crate) type Names<'a> = (&'a str, Option<&'a str>);
 
-/// What both kinds of scenarios check: names that differ, and faults of sensors that are there.
+/// Checks that both kinds of scenarios share: names must differ, and faults must concern sensors that are
+/// recorded.
 pub(crate) fn check_sensors(
     lidars: &[Names],
     (odometry, imu): (Option<&OdometryOptions>, Option<&ImuOptions>),

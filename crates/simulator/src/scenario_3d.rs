@@ -1,4 +1,4 @@
-//! What to simulate in 3D, and checks of it.
+//! Options of a simulation in 3D, and their checks.
 
 use portolan_geometry::{Rigid3, Time, Vector3, nalgebra as na};
 
@@ -11,54 +11,54 @@ use crate::sensors::{
 use portolan_worlds::three_d::Scene3d;
 use portolan_worlds::three_d::{SolidPlan, SolidStyle};
 
-/// Everything that can be chosen. The defaults are a tour of a museum with a backpack that has one
+/// All options of a simulation in 3D. The defaults are a tour of a museum with a backpack that has one
 /// lidar and an IMU.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scenario3dOptions {
     /// Kind of surroundings. Default museum.
     pub scene: Scene3d,
-    /// Everything random follows from it. Default 1.
+    /// Seed of everything random. Default 1.
     pub seed: u64,
     /// Seed of the world alone; none for `seed`.
     pub building_seed: Option<u64>,
-    /// Width and depth, metres; none for what suits the scene. At most 400 each.
+    /// Width and depth, metres; none for the default of the scene. At most 400 each.
     pub size: Option<[f64; 2]>,
-    /// Storeys or decks, 1 to 6; none for what suits the scene.
+    /// Number of storeys or decks, 1 to 6; none for the default of the scene.
     pub storeys: Option<usize>,
-    /// Seconds of the recording; none for every loop once. As many loops as fit are walked, then a path
-    /// out and back again. Default none.
+    /// Length of the recording, seconds; none for every loop once. As many loops as fit are walked, then a
+    /// path out and back again. Default none.
     pub duration: Option<f64>,
     /// True time at the start. Default 1 700 000 000 s after 1970.
     pub start_time: Time,
-    /// How many people walk about; none for what suits the scene.
+    /// Number of people who walk about; none for the default of the scene.
     pub people: Option<usize>,
-    /// How much stands about. Default 1.
+    /// Density of furniture and other objects: 0 none, 1 usual, at most 3. Default 1.
     pub clutter: f64,
     /// Fraction of windows, 0 to 1. Default 0.35.
     pub glass: f64,
-    /// What carries the sensors; none for what suits the scene.
+    /// Platform that carries the sensors; none for the default of the scene.
     pub carrier: Option<Carrier>,
-    /// m/s. Default 1.2.
+    /// Speed, m/s. Default 1.2.
     pub speed: f64,
-    /// How much the body bobs and sways: 0 not at all, 1 as usual, at most 3. Default 1.
+    /// Factor of the bobbing and swaying of the body: 0 none, 1 usual, at most 3. Default 1.
     pub gait: f64,
-    /// Seconds to stand at the start and at the end. Default 2.
+    /// Time to stand at the start and at the end, seconds. Default 2.
     pub rest: f64,
-    /// Whether to stand, without swaying, all the time (with a duration). Default no.
+    /// Whether to stand all the time, without swaying (with a duration). Default no.
     pub standing: bool,
     /// Height of `base_link` above the ground, metres. Default 1.3.
     pub base_height: f64,
     /// Lidars. Default one.
     pub lidars: Vec<SpinningLidarOptions>,
-    /// IMU; none without. Default 200 samples a second.
+    /// IMU; none if it is not recorded. Default 200 samples per second.
     pub imu: Option<ImuOptions>,
-    /// Wheels; none without, as default.
+    /// Wheel odometry; none if it is not recorded, which is the default.
     pub odometry: Option<OdometryOptions>,
-    /// Satellite receiver; none without, as default.
+    /// Satellite receiver; none if it is not recorded, which is the default.
     pub gnss: Option<GnssOptions>,
-    /// Landmarks; none without, as default.
+    /// Landmarks; none if they are not recorded, which is the default.
     pub landmarks: Option<LandmarkOptions>,
-    /// What goes wrong (`scan` means the lidars). Default nothing.
+    /// Faults of the sensors (`scan` means the lidars). Default none.
     pub faults: Vec<Fault>,
 }
 
@@ -117,12 +117,12 @@ pub(crate) fn usual_lidars(count: usize) -> Vec<SpinningLidarOptions> {
 }
 
 impl Scenario3dOptions {
-    /// The usual options for a scene, a seed and a number of lidars.
+    /// The default options for a scene, a seed and a number of lidars.
     pub fn new(scene: Scene3d, seed: u64, lidars: usize) -> Self {
         Self { scene, seed, lidars: usual_lidars(lidars), ..Self::default() }
     }
 
-    /// The same scenario with exact sensors and nobody walking about.
+    /// The same scenario with exact sensors and without people.
     pub fn without_noise(self) -> Self {
         Self {
             people: Some(0),
@@ -135,12 +135,12 @@ impl Scenario3dOptions {
         }
     }
 
-    /// What carries the sensors.
+    /// The platform that carries the sensors.
     pub fn carrier(&self) -> Carrier {
         self.carrier.unwrap_or(Carrier::usual_in(self.scene))
     }
 
-    /// How many people walk about.
+    /// Number of people who walk about.
     pub(crate) fn people(&self) -> usize {
         self.people.unwrap_or(self.scene.default_people())
     }
@@ -162,7 +162,8 @@ impl Scenario3dOptions {
     /// Checks every value; errors name the option and its bounds.
     ///
     /// # Errors
-    /// The first value that is outside its bounds; else missing or repeated names of sensors, or a fault of a sensor that is not there.
+    /// The first value that is outside its bounds; else missing or repeated names of sensors, or a fault of
+    /// a sensor that is not recorded.
     pub fn check(&self) -> Result<(), SimulatorError> {
         let style = self.style();
         let [least_width, least_depth] = self.scene.minimum_size();

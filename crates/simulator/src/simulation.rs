@@ -1,4 +1,4 @@
-//! A simulation: a building, a walk through it, and sensors; with the truth.
+//! A simulation: a building, a walk through it, and sensors; with the ground truth.
 
 use std::sync::Arc;
 
@@ -12,12 +12,12 @@ use crate::{ScenarioOptions, SimulatorError};
 use portolan_worlds::Random;
 use portolan_worlds::two_d::{ClearanceGrid, FloorPlan, World, draw_plan};
 
-/// Beams that are made ahead of the reader at most, in all.
+/// Maximum number of beams of a lidar that are made ahead of the reader; always at least one scan.
 const BEAMS_AHEAD: usize = 1 << 15;
-/// Cell of the grid on which ways are planned, metres.
+/// Cell of the grid on which paths are planned, metres.
 const WAY_CELL: f64 = 0.1;
 
-/// A recording that is made while it is read, with its truth. Copies share everything.
+/// A recording that is made while it is read, with its ground truth. Clones share all data.
 #[derive(Clone, Debug)]
 pub struct Simulation {
     pub(crate) inner: Arc<Inner>,
@@ -33,7 +33,7 @@ pub(crate) struct Inner {
 }
 
 impl Simulation {
-    /// Draws the building, plans the walk and puts people in; measurements are made when they are read.
+    /// Draws the building, plans the walk and adds people; measurements are made when they are read.
     ///
     /// # Errors
     /// The options are not valid ([`ScenarioOptions::check`]), or the robot fits at no junction of the building.
@@ -44,8 +44,9 @@ impl Simulation {
         Self::in_plan(options, plan)
     }
 
-    /// In a floor plan of one's own; `scene`, `size` and the style of the options are not used. The
-    /// tour follows the places and passages of the plan.
+    /// A simulation in a floor plan given by the user; `size` and the style of the options are not used,
+    /// and `scene` only for the default number of people. The tour follows the places and passages of the
+    /// plan.
     ///
     /// # Errors
     /// As [`Simulation::new`]; or the plan is not valid ([`FloorPlan::check`]).
@@ -69,7 +70,8 @@ impl Simulation {
         Ok(Self::assemble(options, plan, world, walk))
     }
 
-    /// With a world and a walk of one's own. The options decide on sensors, faults, seed and times.
+    /// A simulation with a floor plan and a walk given by the user, without people. The options determine
+    /// sensors, faults, seed and times.
     ///
     /// # Errors
     /// The options ([`ScenarioOptions::check`]) or the plan ([`FloorPlan::check`]) are not valid.
@@ -119,12 +121,12 @@ impl Simulation {
         })
     }
 
-    /// Pose of a lidar on the robot, by its place in the options.
+    /// Pose of a lidar on the robot, by its index in the options.
     pub fn base_from_lidar(&self, lidar: usize) -> Option<Rigid3> {
         self.inner.lidars.get(lidar).map(|(l, _)| l.options.base_from_lidar())
     }
 
-    /// How many scans a lidar makes, before any faults.
+    /// Number of scans of a lidar, before any faults.
     pub fn scan_count(&self, lidar: usize) -> u64 {
         self.inner.lidars.get(lidar).map_or(0, |(_, schedule)| schedule.count())
     }

@@ -1,4 +1,4 @@
-//! A simulation in 3D: a world, a walk through it, and sensors; with the truth.
+//! A simulation in 3D: a world, a walk through it, and sensors; with the ground truth.
 
 use std::sync::Arc;
 
@@ -12,10 +12,11 @@ use crate::{Scenario3dOptions, SimulatorError};
 use portolan_worlds::Random;
 use portolan_worlds::three_d::{Pedestrian, Solid, SolidPlan, SolidWorld};
 
-/// Points that are made ahead of the reader at most, in all.
+/// Maximum number of points of all lidars that are made ahead of the reader; always at least two sweeps of
+/// each.
 const POINTS_AHEAD: usize = 1 << 19;
 
-/// A recording in 3D that is made while it is read, with its truth. Copies share everything.
+/// A recording in 3D that is made while it is read, with its ground truth. Clones share all data.
 #[derive(Clone, Debug)]
 pub struct Simulation3d {
     pub(crate) inner: Arc<Inner3d>,
@@ -31,10 +32,10 @@ pub(crate) struct Inner3d {
 }
 
 impl Simulation3d {
-    /// Draws the world, plans the walk and puts people in; measurements are made when they are read.
+    /// Draws the world, plans the walk and adds people; measurements are made when they are read.
     ///
     /// # Errors
-    /// The options are not valid ([`Scenario3dOptions::check`]), or no way leads through the world.
+    /// The options are not valid ([`Scenario3dOptions::check`]), or there is no path through the world.
     pub fn new(options: Scenario3dOptions) -> Result<Self, SimulatorError> {
         options.check()?;
         let plan = options.plan();
@@ -55,8 +56,8 @@ impl Simulation3d {
         Ok(Self::assemble(options, world, motion, landmark_poses(&plan.marks)))
     }
 
-    /// In a world and with a motion of one's own; of the options, those of sensors, faults, seed and
-    /// start are used.
+    /// A simulation in a world and with a motion given by the user, without people; of the options, those
+    /// of sensors, faults, seed, start and duration are used.
     ///
     /// # Errors
     /// The options are not valid ([`Scenario3dOptions::check`]).
@@ -108,7 +109,7 @@ impl Simulation3d {
         self.motion_at(time).map(|state| state.map_from_base)
     }
 
-    /// How many sweeps a lidar makes, before any faults.
+    /// Number of sweeps of a lidar, before any faults.
     pub fn sweep_count(&self, lidar: usize) -> u64 {
         self.inner.lidars.get(lidar).map_or(0, |(_, schedule)| schedule.count())
     }
@@ -202,7 +203,7 @@ impl Inner3d {
     }
 }
 
-/// People on the strolls of a plan, several on one if there are not enough.
+/// People on the strolls of a plan, several on one if there are not enough strolls.
 fn people(plan: &SolidPlan, count: usize, random: &mut Random) -> Vec<Pedestrian> {
     let strolls: Vec<&Vec<Vector3>> = plan.strolls.iter().filter(|way| way.len() > 1).collect();
     let person = |i: usize| {

@@ -1,4 +1,4 @@
-//! Messages of several sensors in one order of time, made while they are read.
+//! Messages of several sensors, merged in order of time and made while they are read.
 
 use std::collections::VecDeque;
 
@@ -13,7 +13,7 @@ use crate::sensors::{Clock, FaultFilter, MessageStream};
 
 /// Topic of the transforms between the robot and its sensors.
 pub(crate) const STATIC_TRANSFORMS: &str = "/tf_static";
-/// Frame of what carries the sensors.
+/// Frame of the platform.
 pub(crate) const ROBOT_FRAME: &str = "base_link";
 
 /// One pass over the messages of a simulation.
@@ -33,7 +33,7 @@ pub(crate) struct Merged {
 }
 
 impl Merged {
-    /// Starts a topic; a filter puts its faults in.
+    /// Starts a topic; the filter adds its faults.
     pub fn start(
         stream: Box<dyn MessageStream>,
         filter: Option<FaultFilter>,
@@ -45,7 +45,7 @@ impl Merged {
         merged
     }
 
-    /// Replaces the next message by the one after it and gives it back.
+    /// Gives the next message, and replaces it by the one after it.
     fn advance(&mut self) -> Option<RecordedMessage> {
         let after = loop {
             let Some(message) = self.stream.next_message() else { break None };
@@ -85,8 +85,8 @@ impl MessageReader for MergedReader {
     }
 }
 
-/// Messages of which each can be made by itself, some made ahead in parallel. Each has random numbers of
-/// its own, so it does not matter by which thread it is made.
+/// Messages that do not depend on each other; some are made ahead of the reader, in parallel. Each has its
+/// own random numbers, so the result does not depend on the thread that makes it.
 pub(crate) struct AheadStream<F> {
     make: F,
     count: u64,
@@ -96,7 +96,7 @@ pub(crate) struct AheadStream<F> {
 }
 
 impl<F: Fn(u64) -> Option<RecordedMessage> + Send + Sync> AheadStream<F> {
-    /// Makes message number 0 to `count` − 1, `ahead` at a time.
+    /// Makes messages number 0 to `count` − 1, `ahead` at a time.
     pub fn new(count: u64, ahead: u64, make: F) -> Self {
         Self { make, count, ahead, next: 0, ready: VecDeque::new() }
     }
@@ -145,7 +145,7 @@ pub(crate) fn sensor_transform(stamp: Time, frame: &str, base_from_sensor: &Rigi
     }
 }
 
-/// A pose as messages have it.
+/// A pose in the form of messages.
 pub(crate) fn pose_message(pose: &Rigid3) -> Pose {
     let q = pose.rotation.quaternion();
     Pose { position: pose.translation.vector.into(), orientation_xyzw: [q.i, q.j, q.k, q.w] }

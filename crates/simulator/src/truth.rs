@@ -1,4 +1,4 @@
-//! The truth as files: trajectory, walls, occupancy.
+//! Ground truth as files: trajectory, walls, occupancy.
 
 use std::io::{self, Write};
 
@@ -8,12 +8,12 @@ use crate::Simulation;
 use crate::motion::Motion;
 use portolan_worlds::two_d::{Outline, Shape};
 
-/// Circles are written as polygons with this many corners.
+/// Number of corners of the polygons as which circles are written.
 const CIRCLE_CORNERS: usize = 24;
 
 impl Simulation {
-    /// Writes all fixed surfaces as straight segments: a header line, then `x0,y0,x1,y1,material`,
-    /// metres. Round things become polygons with 24 corners on the circle.
+    /// Writes all fixed surfaces as straight segments: a header line, then `x0,y0,x1,y1,material`, metres.
+    /// Circles become polygons with 24 corners on the circle.
     ///
     /// # Errors
     /// If writing fails.
@@ -30,7 +30,7 @@ impl Simulation {
     }
 
     /// The true occupancy with cells of `resolution` metres (at least 5 mm): occupied where a fixed
-    /// surface, glass too, passes; free where one can get from the walk; unknown elsewhere.
+    /// surface, glass too, passes; free where cells are connected with the walk; unknown elsewhere.
     pub fn occupancy(&self, resolution: f64) -> OccupancyPicture {
         let mut picture = OccupancyPicture::unknown(self.plan().size, resolution.max(0.005));
         for shape in self.world().fixed().shapes() {
@@ -91,10 +91,10 @@ impl OccupancyPicture {
     pub const OCCUPIED: u8 = 0;
     /// Pixel of a free cell.
     pub const FREE: u8 = 254;
-    /// Pixel of a cell that cannot be seen.
+    /// Pixel of an unknown cell.
     pub const UNKNOWN: u8 = 205;
 
-    /// Half a metre more than the floor on each side.
+    /// All cells unknown, with half a metre more than the floor on each side.
     fn unknown(size: Vector2, resolution: f64) -> Self {
         let margin = 0.5;
         let width = ((size.x + 2.0 * margin) / resolution).ceil() as usize;
@@ -126,7 +126,7 @@ impl OccupancyPicture {
         }
     }
 
-    /// Marks everything as free that is connected with `point` by cells side by side.
+    /// Marks all cells as free that are connected with `point` by cells side by side.
     fn fill_free(&mut self, point: &Vector2) {
         let mut open: Vec<usize> = self.index_of(point).into_iter().collect();
         while let Some(index) = open.pop() {

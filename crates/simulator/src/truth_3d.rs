@@ -1,4 +1,4 @@
-//! The truth in 3D as files: trajectory and surfaces.
+//! Ground truth in 3D as files: fixed surfaces. The trajectory is written as in 2D.
 
 use std::io::{self, Write};
 
@@ -8,7 +8,7 @@ use crate::Simulation3d;
 use portolan_worlds::three_d::{Body, Solid};
 use portolan_worlds::two_d::Material;
 
-/// Round things become prisms with so many sides.
+/// Number of sides of the prisms, and of corners of the rings, as which cylinders and balls are written.
 const SIDES: usize = 24;
 
 impl Simulation3d {
@@ -28,7 +28,7 @@ impl Simulation3d {
     }
 
     /// Writes all fixed surfaces as a mesh of triangles (PLY, binary, a colour per corner by material).
-    /// Round things become prisms with 24 sides.
+    /// Cylinders become prisms with 24 sides, balls bands between rings of 24 corners.
     ///
     /// # Errors
     /// If writing fails.

@@ -10,18 +10,19 @@ use crate::trust_region::{Linearized, SolverOptions, Step, Summary, Termination,
 
 /// A least-squares problem with `N` degrees of freedom; see [`solve_dense`].
 pub trait DenseProblem<const N: usize> {
-    /// What is sought, for example a pose. Kept by value: make it small.
+    /// The unknown, for example a pose. It is passed by value: keep it small.
     type State: Clone;
 
-    /// The cost `½ Σ ρ(r²)` at `state`, or `None` where it cannot be evaluated. When `normal` is given, it
-    /// comes cleared and `JᵀJ` and `Jᵀr` with respect to the local coordinates of [`DenseProblem::plus`] at
-    /// `state` are to be added (robust losses already applied).
+    /// The cost `½ Σ ρ(r²)` at `state`, or `None` if it cannot be evaluated. If `normal` is given, it is
+    /// initialised to zero; add `JᵀJ` and `Jᵀr` with respect to the local coordinates of
+    /// [`DenseProblem::plus`] at `state`, with robust losses already applied.
     fn evaluate(&mut self, state: &Self::State, normal: Option<&mut NormalEquations<N>>) -> Option<f64>;
 
-    /// The state moved by the local coordinates `delta`; moving by zero changes nothing.
+    /// The state updated by the local coordinates `delta`; zero changes nothing.
     fn plus(&self, state: &Self::State, delta: &SVector<f64, N>) -> Self::State;
 
-    /// Norm of the parameters, the scale of [`SolverOptions::parameter_tolerance`]. One unless overridden.
+    /// Norm of the parameters, to which [`SolverOptions::parameter_tolerance`] is relative. One unless
+    /// overridden.
     fn norm(&self, _state: &Self::State) -> f64 {
         1.0
     }
@@ -30,7 +31,7 @@ pub trait DenseProblem<const N: usize> {
 /// Minimises `problem` from `initial` and returns the best state found. Levenberg–Marquardt with the rules
 /// of [`SolverOptions`]; normal equations with column scaling, solved by Cholesky factorisation.
 ///
-/// Whatever the problem returns, this ends: with the state given if that cannot be evaluated
+/// It terminates whatever the problem returns: with the initial state if that cannot be evaluated
 /// ([`Termination::EvaluationFailed`]) or no step can be computed ([`Termination::InvalidSteps`]).
 pub fn solve_dense<P: DenseProblem<N>, const N: usize>(
     problem: &mut P,
@@ -51,7 +52,7 @@ pub fn solve_dense<P: DenseProblem<N>, const N: usize>(
     };
     let mut run = DenseRun {
         problem,
-        // Scaling once, from the start, keeps the meaning of the radius over the whole run.
+        // Scaling once, at the start, keeps the meaning of the radius during the whole run.
         column_scale: normal.hessian.diagonal().map(|d| 1.0 / (1.0 + d.max(0.0).sqrt())),
         normal,
         candidate_normal: NormalEquations::new(),
@@ -91,8 +92,8 @@ impl<P: DenseProblem<N>, const N: usize> Linearized for DenseRun<'_, P, N> {
         (model_cost_change > 0.0).then(|| Step { model_cost_change, norm: step.norm() })
     }
 
-    /// Derivatives are evaluated at once with the cost: nearly every step is kept, so that evaluating
-    /// them later would mean evaluating everything twice.
+    /// Derivatives are evaluated together with the cost: nearly every step is accepted, so evaluating them
+    /// later would mean evaluating everything twice.
     fn evaluate_candidate(&mut self) -> Option<f64> {
         self.candidate_normal = NormalEquations::new();
         let cost = self.problem.evaluate(&self.candidate, Some(&mut self.candidate_normal))?;

@@ -1,10 +1,10 @@
 //! Pose graphs: reading and writing g2o files, initial values, optimisation.
 //!
-//! The error of an edge with measurement `z` from pose `x_i` to pose `x_j` is made of `z⁻¹ x_i⁻¹ x_j`: in the
-//! plane (x, y, θ), in 3D six numbers by [`Se3ErrorConvention`](crate::factors::Se3ErrorConvention). Programs
-//! differ there, and with them the optimum: of sphere2500, for example, it is 1351.4 with the logarithm of SE(3)
-//! (the default here), 1351.2 with the doubled vector part of the quaternion and 727.1 with the vector part
-//! itself. `chi2 = Σ eᵀΩe`, twice the cost without robust losses.
+//! The error of an edge with measurement `z` from pose `x_i` to pose `x_j` is computed from `z⁻¹ x_i⁻¹ x_j`:
+//! in 2D (x, y, θ), in 3D six numbers by [`Se3ErrorConvention`](crate::factors::Se3ErrorConvention). Programs
+//! use different conventions and therefore have different optima: for sphere2500, for example, it is 1351.4
+//! with the logarithm of SE(3) (the default here), 1351.2 with the doubled vector part of the quaternion and
+//! 727.1 with the vector part itself. `chi2 = Σ eᵀΩe`, twice the cost without robust losses.
 
 mod chordal;
 mod connectivity;

@@ -1,7 +1,7 @@
-//! Robust losses: how much a large residual counts.
+//! Robust losses, which limit the weight of large residuals.
 
-/// A loss `ρ(s)` of the squared norm `s = ‖r‖²` of a whole factor; the cost is `½ Σ ρ(s)`. All have
-/// `ρ(s) ≈ s` for small `s`. Scales are in units of the (weighted) residual.
+/// A loss `ρ(s)` of the squared norm `s = ‖r‖²` of a whole factor; the cost is `½ Σ ρ(s)`. All but
+/// [`Loss::Tolerant`] have `ρ(s) ≈ s` for small `s`. Scales are in units of the (weighted) residual.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Loss {
     /// `s`: plain least squares.
@@ -9,8 +9,8 @@ pub enum Loss {
     None,
     /// `s` up to `s = a²`, then `2a√s − a²`: linear in the residual.
     Huber(f64),
-    /// `b·ln(1 + e^{(s−a)/b}) − b·ln(1 + e^{−a/b})`: nearly nothing up to `s = a`, then `s − a`, with a
-    /// transition of width `b`. Note that `a` and `b` are in units of `s`.
+    /// `b·ln(1 + e^{(s−a)/b}) − b·ln(1 + e^{−a/b})`: nearly zero up to `s = a`, then `s − a`, with a
+    /// transition of width `b`. Here `a` and `b` are in units of `s`.
     Tolerant(f64, f64),
     /// `c²·ln(1 + s/c²)`.
     Cauchy(f64),
@@ -18,7 +18,7 @@ pub enum Loss {
     Tukey(f64),
     /// `s·c²/(c² + s)`.
     GemanMcClure(f64),
-    /// `s` up to `c²`, then constant: what is farther away does not count at all.
+    /// `s` up to `c²`, then constant: larger residuals have no effect.
     Truncated(f64),
 }
 
@@ -33,7 +33,7 @@ pub struct LossValue {
     pub second: f64,
 }
 
-/// Where `ln(1 + eˣ) = x` in double precision.
+/// Argument from which `ln(1 + eˣ) = x` in double precision.
 const LOG_OF_LARGEST_MANTISSA: f64 = 36.7;
 
 impl Loss {
@@ -70,7 +70,7 @@ impl Loss {
         }
     }
 
-    /// Whether every scale is positive and finite.
+    /// Whether every scale is positive and finite; `a` of [`Loss::Tolerant`] may be zero.
     pub fn is_valid(&self) -> bool {
         let positive = |v: f64| v > 0.0 && v.is_finite();
         match *self {
@@ -96,10 +96,10 @@ fn tolerant(s: f64, a: f64, b: f64) -> LossValue {
     }
 }
 
-/// Makes a plain least-squares problem out of a robust one (Triggs et al., "Bundle adjustment: a modern
+/// Converts a robust least-squares problem to a plain one (Triggs et al., "Bundle adjustment: a modern
 /// synthesis", 2000, section 4.3): residual and Jacobian are scaled so that `Jᵀr` is the gradient of
-/// `½ρ(‖r‖²)` and `JᵀJ` its Hessian as far as that is positive. Where `ρ″ ≤ 0` the second-order term is
-/// left out, which keeps `JᵀJ` safely positive (the rule of Ceres).
+/// `½ρ(‖r‖²)` and `JᵀJ` its Hessian where that is positive. Where `ρ″ ≤ 0` the second-order term is left out,
+/// which keeps `JᵀJ` positive (the rule of Ceres).
 pub(crate) struct Correction {
     residual_scale: f64,
     jacobian_scale: f64,
@@ -116,7 +116,7 @@ impl Correction {
         Self { residual_scale: root / (1.0 - alpha), jacobian_scale: root, outer_product_scale: alpha / s }
     }
 
-    /// Corrects a Jacobian (column by column) with the residual as evaluated.
+    /// Corrects a Jacobian (column by column), with the uncorrected residual.
     pub fn apply_to_jacobian(&self, residual: &[f64], jacobian: &mut [f64]) {
         for column in jacobian.chunks_exact_mut(residual.len().max(1)) {
             let mut along = 0.0;
@@ -130,7 +130,7 @@ impl Correction {
         }
     }
 
-    /// Corrects the residual; after the Jacobians.
+    /// Corrects the residual. Call it after the Jacobians have been corrected.
     pub fn apply_to_residual(&self, residual: &mut [f64]) {
         residual.iter_mut().for_each(|r| *r *= self.residual_scale);
     }

@@ -1,4 +1,4 @@
-//! The trust-region loop shared by the dense and the sparse solver.
+//! Trust-region loop of the dense and the sparse solver.
 //!
 //! The rules are those of Ceres' Levenberg–Marquardt strategy (Agarwal et al.; Madsen, Nielsen and
 //! Tingleff, "Methods for non-linear least squares problems", 2004, section 3.2), because the meaning of
@@ -14,36 +14,34 @@ pub use summary::{Progress, Summary, Termination};
 
 /// One step of the linearised problem.
 pub(crate) struct Step {
-    /// Decrease of the cost promised by the linear model; positive.
+    /// Decrease of the cost predicted by the linear model; positive.
     pub model_cost_change: f64,
     /// Norm of the change of the parameters.
     pub norm: f64,
 }
 
-/// What the loop needs from a problem. A current state is always linearised; a candidate is only
-/// evaluated.
+/// Interface of a problem to the loop. The current state is always linearised; a candidate is only evaluated.
 pub(crate) trait Linearized {
     /// Largest absolute component of the gradient at the current state.
     fn gradient_max_norm(&self) -> f64;
     /// Norm of the current parameters.
     fn parameter_norm(&self) -> f64;
-    /// Solves the normal equations damped for this radius and forms the candidate; `None` when they
-    /// cannot be solved or the model promises no decrease.
+    /// Solves the normal equations damped for this radius and forms the candidate. `None` if they cannot be
+    /// solved or the model predicts no decrease.
     fn compute_step(&mut self, radius: f64, options: &SolverOptions) -> Option<Step>;
-    /// Cost of the candidate; `None` when it cannot be evaluated.
+    /// Cost of the candidate; `None` if it cannot be evaluated.
     fn evaluate_candidate(&mut self) -> Option<f64>;
-    /// Makes the candidate current and linearises there; false when it cannot be evaluated.
+    /// Makes the candidate the current state and linearises there; false if it cannot be evaluated.
     fn accept_candidate(&mut self) -> bool;
-    /// Remembers the current state as the best one.
+    /// Stores the current state as the best one.
     fn keep_as_best(&mut self);
-    /// Called after every iteration with what is known so far; false asks to stop.
+    /// Called after every iteration with the progress so far; returns false to stop.
     fn report(&mut self, _progress: &Progress) -> bool {
         true
     }
 }
 
-/// Minimises from a linearised start with cost `initial_cost`. The best state is in the problem's own
-/// keeping.
+/// Minimises from a linearised start with cost `initial_cost`. The problem stores the best state itself.
 pub(crate) fn minimize(problem: &mut impl Linearized, initial_cost: f64, options: &SolverOptions) -> Summary {
     problem.keep_as_best();
     let mut run = TrustRegion {
@@ -84,7 +82,7 @@ struct TrustRegion<'a, L> {
 }
 
 impl<L: Linearized> TrustRegion<'_, L> {
-    /// Reports, and tells whether to stop before the next step.
+    /// Reports the progress, and returns the reason to stop before the next step, if any.
     fn check(&mut self) -> Option<Termination> {
         let gradient_max_norm = self.problem.gradient_max_norm();
         let progress = Progress {
@@ -107,7 +105,7 @@ impl<L: Linearized> TrustRegion<'_, L> {
         }
     }
 
-    /// Tries one step. One that changes next to nothing is not taken.
+    /// Tries one step. A step that changes almost nothing is not taken and ends the loop.
     fn iterate(&mut self) -> Option<Termination> {
         self.summary.iterations += 1;
         self.step_is_successful = false;
@@ -156,7 +154,7 @@ impl<L: Linearized> TrustRegion<'_, L> {
         None
     }
 
-    /// Failures in a row shrink the region faster and faster.
+    /// Successive failures shrink the region at an increasing rate.
     fn shrink(&mut self) {
         self.radius /= self.decrease_factor;
         self.decrease_factor *= 2.0;

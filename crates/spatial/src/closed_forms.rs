@@ -1,12 +1,12 @@
-//! The rigid transform that brings pairs of points together best, six ways (specification section 1.1).
+//! The rigid transform that fits pairs of points best, in six closed forms (specification section 1.1).
 
 use nalgebra::{Matrix3, Matrix4, Matrix6, SymmetricEigen, Vector4, Vector6};
 use portolan_geometry::{Quaternion, Rigid3, Vector3, nalgebra as na, quaternion_from_angle_axis};
 
 use crate::PairMoments;
 
-/// How to minimise `Σ |m − (R d + t)|²`. The first four are exact and agree; helix and small angles are one step
-/// of a series that ICP repeats.
+/// Methods to minimise `Σ |m − (R d + t)|²`. The first four are exact and agree. Helix and small angles are
+/// linearised: one step of the iteration that ICP repeats.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub enum ClosedForm {
     /// Unit quaternion (Horn 1987).
@@ -24,8 +24,8 @@ pub enum ClosedForm {
     SmallAngle,
 }
 
-/// The transform of the data points onto the model points. None for fewer than three pairs, or if nothing
-/// finite comes out.
+/// The transform from the data points to the model points. `None` for fewer than three pairs, or if the
+/// result is not finite.
 pub fn best_transform(pairs: &PairMoments, form: ClosedForm) -> Option<Rigid3> {
     if pairs.count < 3 || pairs.weight.is_nan() || pairs.weight <= 0.0 {
         return None;
@@ -71,7 +71,7 @@ fn quaternion(pairs: &PairMoments) -> Quaternion {
 fn svd(pairs: &PairMoments) -> Option<Quaternion> {
     let svd = pairs.centred_data_model().try_svd(true, true, f64::EPSILON, 1000)?;
     let (u, v) = (svd.u?, svd.v_t?.transpose());
-    // A mirror image would fit better: the direction of least weight is turned round.
+    // If a mirror image would fit better, the direction of least weight is flipped.
     let sign = (v * u.transpose()).determinant().signum();
     let mut flip = Matrix3::identity();
     let least = svd.singular_values.imin();
@@ -79,9 +79,9 @@ fn svd(pairs: &PairMoments) -> Option<Quaternion> {
     Some(from_matrix(&(v * flip * u.transpose())))
 }
 
-/// `R = H (HᵀH)^(−1/2)`, built from the eigenvectors v of HᵀH and their images u = H v/√λ. The third pair is
-/// completed to right-handed systems, so that points in a plane (where the formula divides by zero) and mirror
-/// images give rotations too.
+/// `R = H (HᵀH)^(−1/2)`, built from the eigenvectors v of HᵀH and their images u = H v/√λ. The third pair
+/// completes both to right-handed systems, so that coplanar points (for which the formula divides by zero)
+/// and mirror images give rotations, too.
 fn orthonormal(pairs: &PairMoments) -> Option<Quaternion> {
     let h = pairs.centred_data_model().transpose();
     let eigen = SymmetricEigen::new(h.transpose() * h);
@@ -168,7 +168,7 @@ pub fn helical_motion(c: &Vector3, c_bar: &Vector3) -> Rigid3 {
     Rigid3::from_parts(na::Translation3::from(translation), rotation)
 }
 
-/// The unknowns are taken as the sines of the angles of `Rx Ry Rz`, so that the rotation is one exactly.
+/// Takes the unknowns as the sines of the angles of `Rx Ry Rz`, so that the result is exactly a rotation.
 fn small_angle(pairs: &PairMoments) -> Option<Quaternion> {
     let dd = pairs.centred_data_data();
     let dm = pairs.centred_data_model();

@@ -1,13 +1,14 @@
-//! From keys to dense numbers: a hash table in one list of words.
+//! Maps keys to dense numbers with a hash table in one list of words.
 
-/// Bits of a slot that hold the number; the others hold the key.
+/// Bits of a slot for the number; the others hold the key.
 const NUMBER_BITS: u32 = 28;
 const NUMBER_MASK: u64 = (1 << NUMBER_BITS) - 1;
 const FREE: u64 = u64::MAX;
 const MIN_SLOTS: usize = 16;
 
-/// From keys of 36 bits (voxels, blocks of cells) to numbers of 28 bits (their places in a list). Open addressing with
-/// linear probing; at most two thirds full, grown by half so that little memory is idle.
+/// Maps keys of 36 bits (voxels, blocks of cells) to numbers of 28 bits (their indices in a list). Open
+/// addressing with linear probing. The table is at most two thirds full and grows by half, so that little
+/// memory is unused.
 #[derive(Clone, Debug)]
 pub struct DenseIndex {
     slots: Vec<u64>,
@@ -15,24 +16,24 @@ pub struct DenseIndex {
 }
 
 impl DenseIndex {
-    /// So many keys there can be, the last number left out because it marks free slots.
+    /// Maximum number of keys; the last number is reserved because it marks free slots.
     pub const MAX_KEYS: usize = (1 << NUMBER_BITS) - 1;
 
-    /// An empty table that takes so many keys before it grows.
+    /// An empty table with room for this many keys before it grows.
     pub fn with_capacity(num_keys: usize) -> Self {
         let slots = (num_keys + num_keys / 2 + 1).max(MIN_SLOTS);
         Self { slots: vec![FREE; slots], len: 0 }
     }
 
-    /// Where the search for a key starts. Multiplication spreads the key over the high bits, which are
-    /// then scaled to the size of the table.
+    /// First slot of the search for a key. Multiplication spreads the key over the high bits, which are then
+    /// scaled to the size of the table.
     #[inline]
     fn home(&self, key: u64) -> usize {
         let hash = key.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32;
         ((hash * self.slots.len() as u64) >> 32) as usize
     }
 
-    /// The slot of a key, or the free one where it belongs.
+    /// The slot of a key, or the free slot where it would be inserted.
     #[inline]
     fn slot(&self, key: u64) -> usize {
         let mut i = self.home(key);
@@ -48,14 +49,14 @@ impl DenseIndex {
         }
     }
 
-    /// The number of a key, if it was inserted.
+    /// The number of a key, if it is in the table.
     #[inline]
     pub fn get(&self, key: u64) -> Option<usize> {
         let slot = self.slots[self.slot(key)];
         (slot != FREE).then_some((slot & NUMBER_MASK) as usize)
     }
 
-    /// Adds a key that is not there yet with its number, less than [`Self::MAX_KEYS`].
+    /// Adds a key that is not in the table, with its number, which must be less than [`Self::MAX_KEYS`].
     #[inline]
     pub fn insert(&mut self, key: u64, number: usize) {
         if 3 * (self.len + 1) > 2 * self.slots.len() {
@@ -71,7 +72,7 @@ impl DenseIndex {
         self.len += 1;
     }
 
-    /// All keys with their numbers, in no order that means anything.
+    /// All keys with their numbers, in arbitrary order.
     pub fn iter(&self) -> impl Iterator<Item = (u64, usize)> + '_ {
         let taken = self.slots.iter().filter(|s| **s != FREE);
         taken.map(|slot| (slot >> NUMBER_BITS, (slot & NUMBER_MASK) as usize))

@@ -1,20 +1,20 @@
 //! A static kd-tree of points: buckets of permuted points, split at the median of the widest axis.
 //!
-//! The shape of the tree follows from the number of points alone, so that a node needs no pointers:
-//! node `i` has children `2i+1` and `2i+2`, and each half holds half of the points. Eight bytes a node
-//! and sixteen a point; with buckets of 8 to 16 points that is less than 18 bytes a point.
+//! The shape of the tree depends only on the number of points, so nodes need no pointers: node `i` has
+//! children `2i+1` and `2i+2`, and each half contains half of the points. It takes 8 bytes per node and 16
+//! per point; with buckets of 8 to 16 points that is less than 18 bytes per point.
 
 use rayon::prelude::*;
 
-/// Most points in a leaf.
+/// Maximum number of points in a leaf.
 const BUCKET: usize = 16;
-/// Subtrees of fewer points are built on one thread.
+/// Subtrees with fewer points are built on one thread.
 const PARALLEL: usize = 16_384;
 
-/// In the axis of a node: all points below lie at one place, in the order of their indices.
+/// Flag in the axis of a node: all points below have the same position and are in the order of their indices.
 const COINCIDENT: u32 = 1 << 31;
 
-/// A point that was found.
+/// A point found by a search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Neighbour {
     /// Its index in the points the tree was built from.
@@ -35,7 +35,7 @@ struct Entry {
     index: u32,
 }
 
-/// A static kd-tree over points (metres, any frame). Points that are not finite are left out.
+/// A static kd-tree of points (metres, any frame). Points that are not finite are left out.
 #[derive(Clone, Debug, Default)]
 pub struct KdTree {
     nodes: Vec<Node>,
@@ -44,7 +44,7 @@ pub struct KdTree {
 }
 
 impl Neighbour {
-    /// One of the points of a tree: `index` and `position` of it, as seen from a query.
+    /// The point `index` of a tree, at `position`, as a neighbour of a query.
     pub fn of(query: [f32; 3], index: u32, position: [f32; 3]) -> Self {
         let [x, y, z] = position;
         let squared_distance = squared_norm([x - query[0], y - query[1], z - query[2]]);
@@ -69,12 +69,12 @@ impl KdTree {
         Self { nodes, entries, depth }
     }
 
-    /// How many points it holds.
+    /// Number of points.
     pub fn len(&self) -> usize {
         self.entries.len()
     }
 
-    /// Whether it holds none.
+    /// Whether there are no points.
     pub fn is_empty(&self) -> bool {
         self.entries.is_empty()
     }
@@ -84,12 +84,13 @@ impl KdTree {
         self.nodes.capacity() * size_of::<Node>() + self.entries.capacity() * size_of::<Entry>()
     }
 
-    /// The nearest point within `max_distance` (metres); of several equally near that of the lowest index.
+    /// The nearest point within `max_distance` (metres); of several at the same distance the one with the
+    /// lowest index.
     pub fn nearest(&self, query: [f32; 3], max_distance: f32) -> Option<Neighbour> {
         self.nearest_of(query, max_distance, 1, |_| true)
     }
 
-    /// As [`Self::nearest`]; sooner, if `near` is one of the points, and near the query.
+    /// Like [`Self::nearest`]; faster if `near` is one of the points and close to the query.
     pub fn nearest_from(&self, query: [f32; 3], max_distance: f32, near: Neighbour) -> Option<Neighbour> {
         let limit = max_distance * max_distance;
         if near.squared_distance.is_nan() || near.squared_distance > limit {
@@ -105,7 +106,7 @@ impl KdTree {
         Some(best)
     }
 
-    /// The nearest point within `max_distance` of those that `accept` takes (by index).
+    /// The nearest point within `max_distance` among those whose index `accept` accepts.
     pub fn nearest_where(
         &self,
         query: [f32; 3],
@@ -137,22 +138,22 @@ impl KdTree {
         best
     }
 
-    /// Whether there is a point within `max_distance` metres; cheaper than to look for the nearest.
+    /// Whether there is a point within `max_distance` metres; cheaper than the nearest point.
     pub fn has_within(&self, query: [f32; 3], max_distance: f32) -> bool {
         let squared = max_distance * max_distance;
         let mut found = false;
         self.visit(query, squared, 1, |candidate, limit| {
             if candidate.squared_distance <= squared {
                 found = true;
-                // Nothing is near enough any more.
+                // Ends the search: no distance is within this limit.
                 *limit = -1.0;
             }
         });
         found
     }
 
-    /// The nearest point within `max_distance` metres, and how far all others are away at least, metres (no farther
-    /// than was searched).
+    /// The nearest point within `max_distance` metres, and a lower bound of the distance of all others,
+    /// metres (at most `max_distance`).
     pub fn nearest_two(&self, query: [f32; 3], max_distance: f32) -> Option<(Neighbour, f32)> {
         let limit = max_distance * max_distance;
         let mut best: Option<Neighbour> = None;
@@ -175,8 +176,8 @@ impl KdTree {
         best.map(|nearest| (nearest, second.sqrt()))
     }
 
-    /// The `count` nearest points within `max_distance`, nearest first (ties by index), into `found`,
-    /// whose capacity is used again.
+    /// Writes the `count` nearest points within `max_distance` into `found`, nearest first (ties by index),
+    /// and reuses its capacity.
     pub fn k_nearest(&self, query: [f32; 3], count: usize, max_distance: f32, found: &mut Vec<Neighbour>) {
         found.clear();
         if count == 0 {
@@ -198,7 +199,7 @@ impl KdTree {
         });
     }
 
-    /// Calls `found` with every point within `radius` (metres), in an order that depends only on the points.
+    /// Calls `found` with every point within `radius` (metres). The order depends only on the points.
     pub fn within(&self, query: [f32; 3], radius: f32, mut found: impl FnMut(Neighbour)) {
         self.visit(query, radius * radius, usize::MAX, |candidate, limit| {
             if candidate.squared_distance <= *limit {
@@ -207,7 +208,7 @@ impl KdTree {
         });
     }
 
-    /// How many points lie within `radius` (metres), counted up to `most`.
+    /// Number of points within `radius` (metres), counted up to `most`.
     pub fn count_within(&self, query: [f32; 3], radius: f32, most: usize) -> usize {
         let (squared, mut count) = (radius * radius, 0);
         self.visit(query, squared, usize::MAX, |candidate, limit| {
@@ -215,16 +216,16 @@ impl KdTree {
                 count += 1;
             }
             if count >= most {
-                // Nothing is near enough any more.
+                // Ends the search: no distance is within this limit.
                 *limit = -1.0;
             }
         });
         count.min(most)
     }
 
-    /// Calls `candidate` with every point of every bucket that the current limit of the squared distance
-    /// does not exclude; `candidate` may lower the limit. Of many points at one place at least the `first` ones (by
-    /// index) are told: a million of them must not make each search look at all.
+    /// Calls `candidate` with every point of every bucket that the current limit of the squared distance does
+    /// not exclude; `candidate` may lower the limit. Of many points at the same position at least the `first`
+    /// ones (by index) are visited, and not all: a million of them would slow down every search.
     fn visit(
         &self,
         query: [f32; 3],
@@ -259,8 +260,8 @@ impl KdTree {
         }
     }
 
-    /// Goes on to the half of a part that the query lies in; gives the other half, if it is to be searched, too. Of a
-    /// part whose points lie at one place half suffices as long as that has `first` points.
+    /// Descends to the half of a part that contains the query, and returns the other half if it must be
+    /// searched, too. Of coincident points one half suffices if it has `first` points.
     #[inline]
     fn descend(&self, part: &mut Pending, query: [f32; 3], first: usize) -> Option<Pending> {
         let Node { split, axis } = self.nodes[part.node];
@@ -286,19 +287,19 @@ impl KdTree {
     }
 }
 
-/// A tree of more levels than this would hold more points than there is memory for.
+/// Maximum number of levels: a deeper tree would hold more points than fit into memory.
 const DEEPEST: usize = 40;
 
-/// A part of the tree that is still to be searched.
+/// A part of the tree that has not been searched yet.
 #[derive(Clone, Copy, Default)]
 struct Pending {
     node: usize,
-    /// Levels above it.
+    /// Number of levels above it.
     level: u32,
-    /// Its points.
+    /// Range of its points.
     start: usize,
     end: usize,
-    /// Distance of the query from it along each axis, metres.
+    /// Distance of the query from the part along each axis, metres.
     offsets: [f32; 3],
 }
 
@@ -326,7 +327,7 @@ fn build(entries: &mut [Entry], levels: Vec<&mut [Node]>) {
     let is_coincident = extent == 0.0;
     let middle = entries.len() / 2;
     let order = |a: &Entry, b: &Entry| {
-        // Zeros of both signs are one place.
+        // Zeros of both signs are the same position.
         let by_place = a.position[axis].total_cmp(&b.position[axis]);
         if is_coincident { a.index.cmp(&b.index) } else { by_place.then(a.index.cmp(&b.index)) }
     };
@@ -349,7 +350,7 @@ fn build(entries: &mut [Entry], levels: Vec<&mut [Node]>) {
     }
 }
 
-/// The axis along which the points extend most, and how far.
+/// The axis along which the points extend most, and their extent along it.
 fn widest_axis(entries: &[Entry]) -> (usize, f32) {
     let bounds = |entries: &[Entry]| {
         entries.iter().fold(([f32::MAX; 3], [f32::MIN; 3]), |(low, high), e| {

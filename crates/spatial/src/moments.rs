@@ -1,10 +1,10 @@
-//! Count, sum and sum of outer products of points: all that fitting a plane needs.
+//! Count, sum and sum of outer products of points: sufficient to fit a plane.
 
 use nalgebra::{Matrix3, SymmetricEigen};
 use portolan_geometry::Vector3;
 
-/// Moments of a set of points up to the second order. Sums of sets are sums of moments. Accumulate
-/// coordinates relative to some near place: squares of large coordinates lose digits.
+/// Moments of a set of points up to the second order. The moments of a union are the sums of the moments. Use
+/// coordinates relative to a nearby position: squares of large coordinates lose digits.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Moments {
     /// Number of points.
@@ -15,12 +15,12 @@ pub struct Moments {
     pub products: [f64; 6],
 }
 
-/// The plane that fits a set of points best, with what else the eigenvalues tell.
+/// The least-squares plane of a set of points, with the eigenvalues of the covariance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlaneFit {
     /// Mean of the points.
     pub mean: Vector3,
-    /// Unit normal (its sign means nothing).
+    /// Unit normal; its sign is arbitrary.
     pub normal: Vector3,
     /// Eigenvalues of the covariance, ascending, square metres: the first is the variance across the plane.
     pub variances: [f64; 3],
@@ -74,7 +74,7 @@ impl Moments {
         )
     }
 
-    /// The best plane; none for fewer than three points or values that are not finite.
+    /// The best plane; `None` for fewer than three points or values that are not finite.
     pub fn plane(&self) -> Option<PlaneFit> {
         let covariance = self.covariance();
         if self.count < 3.0 || !covariance.iter().all(|v| v.is_finite()) {

@@ -5,10 +5,10 @@ use rayon::prelude::*;
 
 use crate::{KdTree, Moments, Neighbour};
 
-/// The surface around a point.
+/// The local surface around a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LocalSurface {
-    /// Unit normal; its sign means nothing.
+    /// Unit normal; its sign is arbitrary.
     pub normal: [f32; 3],
     /// Standard deviation across the surface, metres.
     pub thickness: f32,
@@ -17,7 +17,7 @@ pub struct LocalSurface {
 }
 
 /// Fits a plane to the `count` nearest neighbours of each point within `max_distance` (metres; the point
-/// itself included). None where there are fewer than four or they lie on a line.
+/// itself included). `None` if there are fewer than four or they are collinear.
 pub fn local_surfaces(
     points: &[[f32; 3]],
     tree: &KdTree,
@@ -31,7 +31,7 @@ pub fn local_surfaces(
     points.par_iter().map_init(Vec::new, surface).collect()
 }
 
-/// The surface around any place, as [`local_surfaces`] finds it around points.
+/// The surface around any position, computed as [`local_surfaces`] does around points.
 pub fn local_surface(
     points: &[[f32; 3]],
     tree: &KdTree,

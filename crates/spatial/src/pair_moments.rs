@@ -1,4 +1,4 @@
-//! Sums over pairs of points from which every closed form follows.
+//! Sums over pairs of points that are sufficient for every closed form.
 
 use nalgebra::Matrix3;
 use portolan_geometry::Vector3;
@@ -34,7 +34,7 @@ impl PairMoments {
         self.squared_distance += (model - data).norm_squared() * weight;
     }
 
-    /// Adds the pairs of another sum.
+    /// Adds the pairs of other sums.
     pub fn merge(&mut self, other: &Self) {
         self.weight += other.weight;
         self.count += other.count;

@@ -1,24 +1,24 @@
-//! Reduction of clouds: one or a few points for each voxel of exactly the given edge.
+//! Voxel reduction of clouds: one or a few points for each voxel of exactly the given edge.
 
 use portolan_numeric::scramble;
 
-/// What stands for the points of a voxel.
+/// Which point or points replace the points of a voxel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VoxelRepresentative {
-    /// The middle of the voxel (not a measured point).
+    /// The centre of the voxel (not a measured point).
     Centre,
     /// The mean of its points.
     Mean,
-    /// So many of its points, chosen at random but always the same ones; all if there are fewer.
+    /// This number of its points, chosen pseudo-randomly and reproducibly; all if there are fewer.
     Random(usize),
 }
 
-/// Bits of a coordinate of a voxel, if all are packed into one number.
+/// Bits per voxel coordinate when all three are packed into one number.
 const PACKED_BITS: u32 = 32;
 
-/// Reduces points (metres) by voxels of `edge` metres with a corner at the origin. Voxels come in ascending
-/// order (x, then y, then z). Points that are not finite are left out; an edge that is not above zero
-/// changes nothing.
+/// Reduces points (metres) by voxels of `edge` metres with a corner at the origin. Voxels are returned in
+/// ascending order (x, then y, then z). Points that are not finite are left out. An edge that is not above
+/// zero changes nothing.
 pub fn reduce(points: &[[f32; 3]], edge: f32, representative: VoxelRepresentative) -> Vec<[f32; 3]> {
     if edge.is_nan() || edge <= 0.0 {
         return points.to_vec();
@@ -81,7 +81,7 @@ fn by_voxel(points: &[[f32; 3]], edge: f32) -> Vec<([i64; 3], u32)> {
         keyed.sort_unstable();
         return keyed;
     }
-    // One number for the voxel and the index: much faster to sort.
+    // Voxel and index packed into one number are much faster to sort.
     let pack = |p: &[f32; 3]| {
         let v = voxel(p);
         (0..3).fold(0_u128, |packed, k| packed << PACKED_BITS | (v[k] - low[k]) as u128)
@@ -93,15 +93,15 @@ fn by_voxel(points: &[[f32; 3]], edge: f32) -> Vec<([i64; 3], u32)> {
     packed.into_iter().map(|p| (std::array::from_fn(|k| low[k] + part(p, k as u32)), p as u32)).collect()
 }
 
-/// The largest whole number that is not larger; the nearest there is for one that is out of range. Without a call of a
-/// function, which `floor` is on some targets.
+/// The largest integer not above the value; a value out of range saturates. It avoids the function call that
+/// `floor` is on some targets.
 #[inline]
 fn whole(value: f64) -> i64 {
     let toward_zero = value as i64;
     toward_zero.saturating_sub(i64::from(toward_zero as f64 > value))
 }
 
-/// Some points of a voxel.
+/// Chooses some points of a voxel.
 fn choose(voxel: &[([i64; 3], u32)], count: usize, order: &mut Vec<u32>) {
     order.clear();
     order.extend(voxel.iter().map(|(_, i)| *i));

@@ -1,5 +1,5 @@
-//! Sharpness without truth: mean map entropy and mean plane variance (Razlaw et al., "Evaluation of
-//! registration methods for sparse 3D laser scans", 2015).
+//! Sharpness of a cloud without ground truth: mean map entropy and mean plane variance (Razlaw et al.,
+//! "Evaluation of registration methods for sparse 3D laser scans", 2015).
 
 use std::fmt;
 
@@ -12,22 +12,23 @@ use serde::Serialize;
 
 use crate::{KdTree, Moments};
 
-/// Points that are looked at in all neighbourhoods together: some seconds. Usual clouds need a thousandth.
+/// Limit of the points visited in all neighbourhoods together: some seconds. Usual clouds need a thousandth
+/// of it.
 const MOST_VISITS: usize = 1_000_000_000;
-/// Neighbourhoods that are counted to tell how large all are.
+/// Number of neighbourhoods that are counted to estimate the size of all.
 const PROBES: usize = 50;
 
-/// What sharpness is measured with. Values can only be compared between clouds of equal density measured
+/// Options of the measurement. Values can only be compared between clouds of equal density that were measured
 /// with equal options.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SharpnessOptions {
-    /// Neighbourhood, metres.
+    /// Radius of a neighbourhood, metres.
     pub radius: f64,
-    /// Points with fewer neighbours (themselves included) do not count.
+    /// Minimum number of points in a neighbourhood, its centre included.
     pub min_neighbours: usize,
-    /// Larger clouds are thinned to so many points first.
+    /// Maximum number of points; larger clouds are thinned first.
     pub max_points: usize,
-    /// At so many of them the neighbourhood is looked at.
+    /// Number of points at which the neighbourhood is examined.
     pub queries: usize,
 }
 
@@ -44,64 +45,64 @@ pub struct Sharpness {
     pub mean_map_entropy: f64,
     /// Mean of the smallest eigenvalue of Σ, square metres.
     pub mean_plane_variance: f64,
-    /// Standard error of the entropy.
+    /// Standard error of the mean map entropy.
     pub entropy_standard_error: f64,
-    /// Points that were thinned to and searched.
+    /// Number of points after thinning.
     pub points: usize,
-    /// Neighbourhoods that counted.
+    /// Number of neighbourhoods with enough points.
     pub neighbourhoods: usize,
     /// Mean number of points in them.
     pub mean_neighbours: f64,
-    /// With which options.
+    /// Options of the measurement.
     pub options: SharpnessOptions,
 }
 
-/// So many of `count` indices, spread evenly and not in step with any regular order of the points; ascending.
-/// The same every time.
+/// `wanted` of `count` indices in ascending order, spread evenly, but not in step with a regular order of the
+/// points. The result is reproducible.
 pub fn spread_sample(count: usize, wanted: usize) -> Vec<u32> {
     if count <= wanted {
         return (0..count as u32).collect();
     }
-    // One index out of each of `wanted` equal parts, at a place within it that a fixed generator chooses.
+    // One index out of each of `wanted` equal parts, at a pseudo-random position within the part.
     let mut random = Lcg64::new(0x2545_f491_4f6c_dd1d);
     let part = count as f64 / wanted as f64;
     (0..wanted).map(|i| (((i as f64 + random.uniform()) * part) as usize).min(count - 1) as u32).collect()
 }
 
-/// The surroundings of one point of a cloud.
+/// The neighbourhood of one point of a cloud.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Neighbourhood {
-    /// Which point of the cloud that was measured.
+    /// Index of the point in the cloud.
     pub index: u32,
-    /// `½ ln det(2πe Σ)` of the points around it.
+    /// `½ ln det(2πe Σ)` of the points in the neighbourhood.
     pub entropy: f64,
     /// Eigenvalues of their covariance, ascending, square metres.
     pub variances: [f64; 3],
-    /// Unit normal of the plane through them; its sign means nothing.
+    /// Unit normal of the plane through them; its sign is arbitrary.
     pub normal: [f64; 3],
-    /// How many they are.
+    /// Number of points in the neighbourhood.
     pub count: f64,
 }
 
 impl Neighbourhood {
-    /// Whether the points lie on one surface: wide in two directions and thin in the third.
+    /// Whether the points are on one surface: wide in two directions and thin in the third.
     pub fn is_planar(&self) -> bool {
         let [across, middle, along] = self.variances;
         middle > 0.1 * along && across < 0.1 * middle
     }
 }
 
-/// A cloud thinned for measuring, with a search tree.
+/// A thinned cloud with a search tree.
 #[derive(Clone, Debug)]
 pub struct ThinnedCloud {
     chosen: Vec<u32>,
-    /// Relative to one of the points, so that single precision is enough for the search.
+    /// Positions relative to one of the points, so that single precision suffices for the search.
     near: Vec<[f32; 3]>,
     tree: KdTree,
 }
 
 impl ThinnedCloud {
-    /// Thins a cloud (metres, any frame) to so many points, spread evenly over their order.
+    /// Thins a cloud (metres, any frame) to at most `max_points` points, spread evenly over their order.
     pub fn new(points: &[[f64; 3]], max_points: usize) -> Self {
         let chosen = spread_sample(points.len(), max_points);
         let is_finite = |p: &&[f64; 3]| p.iter().all(|v| v.is_finite());
@@ -114,26 +115,27 @@ impl ThinnedCloud {
         Self { chosen, near, tree }
     }
 
-    /// Indices of the points in the cloud they were taken from, ascending.
+    /// Indices of the points in the original cloud, ascending.
     pub fn chosen(&self) -> &[u32] {
         &self.chosen
     }
 
-    /// The points relative to one of them, metres.
+    /// Positions of the points relative to one of them, metres.
     pub fn near(&self) -> &[[f32; 3]] {
         &self.near
     }
 
-    /// Their search tree.
+    /// The search tree of the points.
     pub fn tree(&self) -> &KdTree {
         &self.tree
     }
 
-    /// The surroundings of some of the points, spread evenly, in their order. Points with too few around them are
-    /// left out. The same for any number of threads.
+    /// The neighbourhoods of some of the points, spread evenly, in the order of the points. Those with too
+    /// few points are left out. The result does not depend on the number of threads.
     pub fn neighbourhoods(&self, options: &SharpnessOptions) -> Vec<Neighbourhood> {
         let queries = self.affordable(spread_sample(self.near.len(), options.queries), options.radius as f32);
-        // Points at one place have the same surroundings, which are looked at once: there may be very many of them.
+        // Points at the same position have the same neighbourhood. It is computed once, because there may be
+        // very many such points.
         let (mut number_at, mut distinct) = (FxHashMap::default(), Vec::new());
         let number = |i: &u32| {
             *number_at.entry(self.near[*i as usize].map(f32::to_bits)).or_insert_with(|| {
@@ -149,8 +151,8 @@ impl ThinnedCloud {
         queries.iter().zip(&numbers).filter_map(of_query).collect()
     }
 
-    /// As many of the queries, spread evenly, as can be answered with [`MOST_VISITS`] points in their neighbourhoods:
-    /// all of them, unless very many points lie at one place.
+    /// As many of the queries, spread evenly, as visit at most [`MOST_VISITS`] points in their
+    /// neighbourhoods. These are all queries, unless very many points are at one position.
     fn affordable(&self, queries: Vec<u32>, radius: f32) -> Vec<u32> {
         let probes = spread_sample(queries.len(), PROBES);
         let visits = probes.iter().map(|i| {
@@ -174,7 +176,7 @@ impl ThinnedCloud {
         if moments.count < options.min_neighbours.max(4) as f64 {
             return None;
         }
-        // The unbiased covariance, as the published figures have it.
+        // The unbiased covariance, as in the published figures.
         let unbiased = moments.covariance() * (moments.count / (moments.count - 1.0));
         let scaled: Matrix3<f64> = unbiased * (2.0 * std::f64::consts::PI * std::f64::consts::E);
         let determinant = scaled.determinant();
@@ -189,14 +191,15 @@ impl ThinnedCloud {
     }
 }
 
-/// Measures how sharp a cloud is (metres, any frame); none if no neighbourhood has enough points.
+/// Measures the sharpness of a cloud (metres, any frame); `None` if no neighbourhood has enough points.
 pub fn sharpness(points: &[[f64; 3]], options: SharpnessOptions) -> Option<Sharpness> {
     let cloud = ThinnedCloud::new(points, options.max_points);
     Sharpness::of(&cloud.neighbourhoods(&options), cloud.near.len(), options)
 }
 
 impl Sharpness {
-    /// Sums up neighbourhoods of a cloud that was thinned to `points`; none if there is no neighbourhood.
+    /// Averages over the neighbourhoods of a cloud that was thinned to `points` points; `None` without
+    /// neighbourhoods.
     pub fn of(found: &[Neighbourhood], points: usize, options: SharpnessOptions) -> Option<Self> {
         if found.is_empty() {
             return None;

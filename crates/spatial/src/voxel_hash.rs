@@ -2,11 +2,11 @@
 
 use rustc_hash::FxHashMap;
 
-/// Which voxel: its place along x, y and z, in voxels from the origin.
+/// Index of a voxel along x, y and z, in voxels from the origin.
 pub type VoxelKey = [i32; 3];
 
-/// Values by voxel. Voxels can only be visited in the order of their keys, so that the order of the table cannot
-/// reach any output.
+/// Hash table of values by voxel. Voxels can only be visited in the order of their keys, so that no output
+/// depends on the order of the table.
 #[derive(Clone, Debug)]
 pub struct VoxelHash<T> {
     voxels: FxHashMap<VoxelKey, T>,
@@ -42,13 +42,13 @@ impl<T> VoxelHash<T> {
         self.voxels.get(key)
     }
 
-    /// The value of a voxel, to be changed.
+    /// The value of a voxel, mutable.
     #[inline]
     pub fn get_mut(&mut self, key: &VoxelKey) -> Option<&mut T> {
         self.voxels.get_mut(key)
     }
 
-    /// The value of a voxel; `make` makes it if there is none.
+    /// The value of a voxel; if there is none, that of `make` is inserted.
     #[inline]
     pub fn or_insert_with(&mut self, key: VoxelKey, make: impl FnOnce() -> T) -> &mut T {
         self.voxels.entry(key).or_insert_with(make)
@@ -63,7 +63,7 @@ impl<T> VoxelHash<T> {
         self.voxels.entry(key).or_default()
     }
 
-    /// Removes all values and keeps the memory.
+    /// Removes all values and keeps the memory of the table.
     pub fn clear(&mut self) {
         self.voxels.clear();
     }

@@ -1,4 +1,4 @@
-//! Points by voxels in a hash table, for maps that grow.
+//! A hash table of points by voxels, for maps that grow.
 
 use crate::Neighbour;
 
@@ -7,11 +7,11 @@ const EMPTY: u32 = u32::MAX;
 #[derive(Clone, Copy, Debug)]
 struct Slot {
     key: [i32; 3],
-    /// The voxel's newest point; the others follow by `next`.
+    /// The newest point of the voxel; the others are linked by `next`.
     head: u32,
 }
 
-/// Points (metres) by voxels. Sixteen bytes a point and about thirty a voxel; points can be added at any
+/// Points (metres) by voxels. Takes 16 bytes per point and about 30 per voxel. Points can be added at any
 /// time, in contrast to [`crate::KdTree`].
 #[derive(Clone, Debug)]
 pub struct VoxelMap {
@@ -36,22 +36,22 @@ impl VoxelMap {
         }
     }
 
-    /// How many points.
+    /// Number of points.
     pub fn len(&self) -> usize {
         self.points.len()
     }
 
-    /// Whether there is none.
+    /// Whether there are no points.
     pub fn is_empty(&self) -> bool {
         self.points.is_empty()
     }
 
-    /// How many voxels have points.
+    /// Number of voxels with points.
     pub fn voxel_count(&self) -> usize {
         self.used
     }
 
-    /// Bytes in use, with what is kept free for more points.
+    /// Bytes in use, including the memory reserved for more points.
     pub fn memory_bytes(&self) -> usize {
         self.slots.capacity() * size_of::<Slot>()
             + self.points.capacity() * size_of::<[f32; 3]>()
@@ -63,7 +63,8 @@ impl VoxelMap {
         &self.points
     }
 
-    /// Adds a point; its index is the number of points before it. A point that is not finite is not added.
+    /// Adds a point and returns its index, the number of points before it. A point that is not finite is not
+    /// added.
     pub fn insert(&mut self, point: [f32; 3]) -> Option<u32> {
         if !point.iter().all(|v| v.is_finite()) || self.points.len() >= EMPTY as usize {
             return None;
@@ -92,7 +93,7 @@ impl VoxelMap {
         let limit = radius * radius;
         let volume = (0..3).map(|k| (i64::from(high[k]) - i64::from(low[k]) + 1) as f64).product::<f64>();
         if volume > self.used as f64 {
-            // More voxels than are in use: it is cheaper to look at those.
+            // More voxels in the cube than in use: it is cheaper to visit those in use.
             for slot in self.slots.iter().filter(|s| s.head != EMPTY) {
                 self.visit_voxel(slot.head, query, limit, &mut found);
             }
@@ -141,7 +142,7 @@ impl VoxelMap {
         point.map(|v| (v / self.edge).floor() as i32)
     }
 
-    /// Where a voxel is, or the free place where it would be.
+    /// The slot of a voxel, or the free slot where it would be inserted.
     fn place(&self, key: [i32; 3]) -> usize {
         let mask = self.slots.len() - 1;
         let mut place = hash(key) as usize & mask;

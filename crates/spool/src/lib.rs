@@ -10,28 +10,28 @@ use std::sync::OnceLock;
 use portolan_atomic_file::{Disk, nameless_file};
 use portolan_recall::{Answer, Words};
 
-/// Words that are written, and read, at a time: 256 kB.
+/// Number of words written or read at a time: 256 kB.
 const BLOCK: usize = 1 << 15;
 
-/// A list that only grows, of which all but the newest records wait in a file.
+/// An append-only list that keeps the newest records in memory and the others in a file.
 pub struct Spool<T> {
-    /// Blocks of words before the newest; none where everything is in memory.
+    /// Blocks of words before the newest records; none if everything is in memory.
     file: Option<Disk<File>>,
-    /// What each block in the file holds, in order.
+    /// Positions of the blocks in the file, in order.
     blocks: Vec<Block>,
     newest: Vec<T>,
     words: Vec<u64>,
     len: usize,
     last: Option<T>,
     failure: Option<io::Error>,
-    /// Why the file could not be read.
+    /// Error of reading the file again, if it failed.
     unreadable: OnceLock<io::Error>,
 }
 
-/// Records that were written at once.
+/// A block of records that were written together.
 #[derive(Clone, Copy, Debug)]
 struct Block {
-    /// Where it begins in the file, bytes.
+    /// Offset in the file, bytes.
     begin: u64,
     words: usize,
 }
@@ -78,12 +78,12 @@ impl<T: Answer + Clone> FromIterator<T> for Spool<T> {
 }
 
 impl<T> Spool<T> {
-    /// How many records.
+    /// Number of records.
     pub fn len(&self) -> usize {
         self.len
     }
 
-    /// Whether there is none.
+    /// Whether there are no records.
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }
@@ -93,15 +93,15 @@ impl<T> Spool<T> {
         self.last.as_ref()
     }
 
-    /// Why records are in memory that were to wait in a file.
+    /// Error because of which records stay in memory instead of the file, if any.
     pub fn failure(&self) -> Option<&io::Error> {
         self.failure.as_ref()
     }
 
-    /// Whether every list of the records that was read so far was whole.
+    /// Reports whether all iterations over the records so far were complete.
     ///
     /// # Errors
-    /// The file could not be read again, so that one ended too early.
+    /// The file could not be read again, so that an iteration ended too early.
     pub fn whole(&self) -> io::Result<()> {
         self.unreadable.get().map_or(Ok(()), |error| {
             let text = format!("what waited in a nameless file cannot be read again: {error}");
@@ -111,7 +111,7 @@ impl<T> Spool<T> {
 }
 
 impl<T: Answer + Clone> Spool<T> {
-    /// An empty list whose records wait in a file in this folder.
+    /// An empty list with a nameless file in this folder for its records.
     pub fn in_folder(folder: &Path) -> Self {
         match nameless_file(folder) {
             Ok(file) => Self { file: Some(file), ..Self::default() },
@@ -132,7 +132,8 @@ impl<T: Answer + Clone> Spool<T> {
         }
     }
 
-    /// All records, in order. A file that cannot be read any more ends them, and [`Spool::whole`] says so.
+    /// All records, in order. If the file can no longer be read, the iteration ends early, and
+    /// [`Spool::whole`] returns the error.
     pub fn iter(&self) -> impl Iterator<Item = T> + '_ {
         let (mut blocks, mut newest) = (self.blocks.iter(), self.newest.iter());
         let mut read = Vec::new().into_iter();
@@ -145,11 +146,11 @@ impl<T: Answer + Clone> Spool<T> {
                 None => return newest.next().cloned(),
             }
         };
-        // What comes after a gap is no part of the list.
+        // Nothing follows a block that cannot be read: the records after it would be out of sequence.
         std::iter::from_fn(next).fuse()
     }
 
-    /// Puts the newest records into the file. If that fails they stay in memory, as all later ones do.
+    /// Writes the newest records to the file. If that fails, they and all later ones stay in memory.
     fn write_block(&mut self) {
         let Some(file) = &mut self.file else { return };
         let begin = self.blocks.last().map_or(0, |block| block.begin + bytes_of(block.words));

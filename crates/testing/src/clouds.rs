@@ -1,36 +1,36 @@
-//! Random points, the same every time: those of the golden vectors.
+//! Reproducible random points, the same as those of the golden vectors.
 
 use portolan_geometry::Point3f;
 
-/// The linear congruential generator of the golden vectors.
+/// Linear congruential generator of the golden vectors.
 #[derive(Clone, Debug)]
 pub struct Lcg(u32);
 
 impl Lcg {
-    /// Begins with a seed.
+    /// With a seed.
     pub fn new(seed: u32) -> Self {
         Self(seed)
     }
 
-    /// In [0, 1).
+    /// A number in [0, 1).
     pub fn unit(&mut self) -> f32 {
         self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         (self.0 >> 8) as f32 / 16_777_216.0
     }
 
-    /// In [−a, a).
+    /// A number in [−a, a).
     pub fn symmetric(&mut self, a: f32) -> f32 {
         (self.unit() * 2.0 - 1.0) * a
     }
 }
 
-/// `n` points within 20 m, 20 m and 3 m of the origin; "cloud A" is seed 1 with 1000 points.
+/// `n` random points within ±20 m, ±20 m and ±3 m of the origin in x, y and z; "cloud A" is seed 1 with 1000 points.
 pub fn flat_box(seed: u32, n: usize) -> Vec<Point3f> {
     let mut lcg = Lcg::new(seed);
     (0..n).map(|_| Point3f::from([20.0, 20.0, 3.0].map(|a| lcg.symmetric(a)))).collect()
 }
 
-/// Random points of an oval wall with two flat ends, above a floor; "cloud B" is seed 21 with 2000 points.
+/// `n` random points on an oval wall with two flat ends and on a floor; "cloud B" is seed 21 with 2000 points.
 pub fn oval_hall(seed: u32, n: usize) -> Vec<Point3f> {
     let mut lcg = Lcg::new(seed);
     let points = (0..n).map(|i| {

@@ -1,4 +1,4 @@
-//! Files damaged with knowledge of their records, reproducible by seed: for tests of readers.
+//! Damages files with knowledge of their records, reproducibly from a seed: for tests of readers.
 
 mod mutation;
 mod random;

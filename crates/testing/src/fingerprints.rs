@@ -1,11 +1,12 @@
-//! Results byte for byte: a change that is not meant to change any shows here.
+//! Regression test of results byte for byte: detects unintended changes.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Checksums and sizes of results, against those of a table in the repository.
+/// Compares checksums and sizes of results with those of a table in the repository.
 ///
-/// With `PORTOLAN_BLESS=1` the table is written anew instead; rows of what was not run stay as they are.
+/// If `PORTOLAN_BLESS` is set (`PORTOLAN_BLESS=1`), the table is updated instead; rows of cases that were not run stay
+/// unchanged.
 #[derive(Debug)]
 pub struct Fingerprints {
     table: PathBuf,
@@ -18,7 +19,7 @@ impl Fingerprints {
         Self { table: table.into(), found: BTreeMap::new() }
     }
 
-    /// Adds files of a folder, the results of a case.
+    /// Adds files of a folder as the results of a case.
     ///
     /// # Panics
     ///
@@ -43,11 +44,11 @@ impl Fingerprints {
         file.lines().filter(|line| !line.starts_with('#')).filter_map(row).collect()
     }
 
-    /// Compares, or writes the table anew.
+    /// Compares the results with the table, or updates the table.
     ///
     /// # Panics
     ///
-    /// If what was found is not what the table says.
+    /// If a result differs from the table.
     pub fn check(self) {
         let mut expected = self.written();
         if std::env::var_os("PORTOLAN_BLESS").is_some() {

@@ -1,4 +1,4 @@
-//! Where the repository and its build folder are.
+//! Paths of the repository and its build folder.
 
 use std::path::{Path, PathBuf};
 

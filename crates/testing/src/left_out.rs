@@ -1,4 +1,4 @@
-//! What was not tested, in a list that the end of a run shows.
+//! Records skipped tests in a list that is shown at the end of a run.
 
 use std::fs::OpenOptions;
 use std::io::Write;
@@ -6,7 +6,7 @@ use std::path::Path;
 
 use crate::folders::target;
 
-/// Whether long tests are left out: with `PORTOLAN_TESTS=fast`. A long test begins with
+/// Whether long tests are skipped: with `PORTOLAN_TESTS=fast`. A long test begins with
 /// `if is_fast() { return; }`.
 pub fn is_fast() -> bool {
     match std::env::var("PORTOLAN_TESTS").as_deref() {
@@ -19,12 +19,12 @@ pub fn is_fast() -> bool {
     }
 }
 
-/// Says on stderr, past the capture of the test harness, that the running test leaves something out, and adds it
-/// to `target/left-out.txt`.
+/// Reports that the running test skips something: on stderr, bypassing the capture of the test harness, and in
+/// `target/left-out.txt`.
 pub fn left_out(what: &str) {
     let line = format!("left out: {}: {what}\n", running_test());
-    // The harness captures what `eprint` writes, not what is written to the stream itself. A list that cannot be
-    // written fails no test.
+    // The harness captures `eprint`, but not writes to the stream itself. A list that cannot be written does not fail
+    // the test.
     let _ = std::io::stderr().write_all(line.as_bytes());
     let _ = append(&target().join("left-out.txt"), &line);
 }
@@ -33,11 +33,11 @@ fn append(list: &Path, line: &str) -> std::io::Result<()> {
     OpenOptions::new().create(true).append(true).open(list)?.write_all(line.as_bytes())
 }
 
-/// Test program and test, as in `map::settings_change_the_map`.
+/// Name of test program and test, as in `map::settings_change_the_map`.
 fn running_test() -> String {
     let program = std::env::current_exe().unwrap_or_default();
     let name = program.file_stem().unwrap_or_default().to_string_lossy();
-    // The name ends in a dash and the hash of the build.
+    // The file name ends in a dash and the hash of the build.
     let name = name.rsplit_once('-').map_or(&*name, |(name, _)| name);
     let thread = std::thread::current();
     format!("{name}::{}", thread.name().unwrap_or("a thread without a name"))

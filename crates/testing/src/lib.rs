@@ -1,15 +1,15 @@
-//! What the tests of all crates share.
+//! Helpers for the tests of all crates.
 //!
-//! - [`real_data`]: where real recordings and maps are; what is left out without them is listed.
-//! - [`is_fast`]: whether long tests are left out.
-//! - [`Program`]: the built program, and recordings simulated with it once for all tests.
-//! - [`Fingerprints`]: results byte for byte, in a table that is written anew on demand.
-//! - [`damage`]: damaged files.
-//! - [`clouds`]: random points, the same every time.
-//! - [`Stopwatch`]: how long work takes, for benchmarks.
-//! - [`assert_files_are_modules`]: no file of tests is forgotten.
+//! - [`real_data`]: paths of real recordings and maps; tests that are skipped without them are listed.
+//! - [`is_fast`]: whether long tests are skipped.
+//! - [`Program`]: runs the built program, and simulates recordings with it once for all tests.
+//! - [`Fingerprints`]: compares results byte for byte with a table that is updated on demand.
+//! - [`damage`]: makes damaged files.
+//! - [`clouds`]: reproducible random points.
+//! - [`Stopwatch`]: measures computing time, for benchmarks.
+//! - [`assert_files_are_modules`]: checks that every test file is run.
 //!
-//! It depends on `portolan-geometry` alone, so that every crate above may use it in its tests.
+//! Of the workspace it depends on `portolan-geometry` alone, so that every crate above it may use it in its tests.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout)] // in tests this is how errors are shown
 
 pub mod clouds;

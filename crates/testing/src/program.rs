@@ -1,4 +1,4 @@
-//! Running the built program, and what it makes once for all tests.
+//! Runs the built program, and keeps results that it makes once for all tests.
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -9,20 +9,20 @@ use std::time::Duration;
 
 use crate::folders::target;
 
-/// Folders that this process makes or has made.
+/// Folders that this process is making or has made.
 static MADE: Mutex<BTreeMap<PathBuf, Arc<OnceLock<()>>>> = Mutex::new(BTreeMap::new());
 
-/// Results of older programs are removed when they have not been touched for so long.
+/// Age of the modification time after which results of older builds of the program are removed.
 const FORGOTTEN_AFTER: Duration = Duration::from_secs(3600);
 
-/// What a run gave.
+/// Result of a run.
 #[derive(Clone, Debug)]
 pub struct Run {
-    /// Exit code; none where a signal ended it.
+    /// Exit code; none if a signal ended the program.
     pub code: Option<i32>,
-    /// What it wrote to stdout.
+    /// Output on stdout.
     pub stdout: String,
-    /// What it wrote to stderr.
+    /// Output on stderr.
     pub stderr: String,
 }
 
@@ -34,16 +34,16 @@ pub struct Program {
 }
 
 impl Program {
-    /// The program of this file: `Program::at(env!("CARGO_BIN_EXE_portolan"))`.
+    /// The program at this path: `Program::at(env!("CARGO_BIN_EXE_portolan"))`.
     pub const fn at(path: &'static str) -> Self {
         Self { path, folder: OnceLock::new() }
     }
 
-    /// Runs it.
+    /// Runs the program.
     ///
     /// # Panics
     ///
-    /// If it cannot be started, or writes what is not UTF-8.
+    /// If it cannot be started, or its output is not UTF-8.
     pub fn run<S: AsRef<OsStr>>(&self, arguments: &[S]) -> Run {
         let output = Command::new(self.path).args(arguments).output().unwrap();
         Run {
@@ -53,7 +53,7 @@ impl Program {
         }
     }
 
-    /// Runs it; it must end with this code.
+    /// Runs the program and asserts its exit code.
     ///
     /// # Panics
     ///
@@ -65,8 +65,9 @@ impl Program {
         run
     }
 
-    /// A simulated recording `walk.EXTENSION` (`bag`, `mcap`) with its truth beside it, simulated once for all tests
-    /// with these arguments: `simulated("mcap", &["museum", "--seconds", "20"])`. Nothing may be written beside it.
+    /// Path of a simulated recording `walk.EXTENSION` (`bag`, `mcap`) with its ground truth beside it. It is simulated
+    /// once for all tests with these arguments: `simulated("mcap", &["museum", "--seconds", "20"])`. Tests must not
+    /// write into its folder.
     ///
     /// # Panics
     ///
@@ -82,10 +83,11 @@ impl Program {
         made.join(name)
     }
 
-    /// A folder in `target/simulated-<hash of the program>` with what `make` put into it, made once for all tests that
-    /// name it alike. Nothing may be changed in it afterwards.
+    /// A folder in `target/simulated-<hash of the program>` that `make` fills once for all tests that use the same
+    /// `name`. Its content must not be changed afterwards.
     ///
-    /// It is made under another name and moved, so that test programs may run at the same time and none sees half of it.
+    /// It is made under a temporary name and renamed, so that test programs may run concurrently and never see an
+    /// incomplete folder.
     ///
     /// # Panics
     ///
@@ -103,7 +105,7 @@ impl Program {
             make(&unfinished);
             if std::fs::rename(&unfinished, &folder).is_err() {
                 assert!(folder.exists(), "{} cannot be made", folder.display());
-                // Another test program was faster.
+                // Another test program has made the folder meanwhile.
                 std::fs::remove_dir_all(&unfinished).unwrap();
             }
         });
@@ -130,7 +132,7 @@ fn remove_forgotten() {
     };
     for entry in std::fs::read_dir(target()).into_iter().flatten().flatten() {
         if is_forgotten(&entry.path()) {
-            // Another test program may be removing it, too.
+            // Another test program may be removing it at the same time.
             let _ = std::fs::remove_dir_all(entry.path());
         }
     }
@@ -142,7 +144,7 @@ mod tests {
 
     #[test]
     fn a_folder_is_made_once() {
-        // Any file will do for the hash; no program runs.
+        // Any file will do: only its hash is used, and it is not run.
         let program = Program::at(concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml"));
         let name = format!("test-{}", std::process::id());
         let made = || {

@@ -1,14 +1,15 @@
-//! Real recordings and maps: not part of the repository (`TESTING.md`).
+//! Paths of real recordings and maps, which are not part of the repository (`TESTING.md`).
 
 use std::path::{Path, PathBuf};
 
 use crate::folders::repository;
 use crate::left_out::left_out;
 
-/// A file or folder of the real data, `real_data("lidar2d/aces/aces.bag")`; none, and a line in the list of what was
-/// left out, where it is missing.
+/// Path of a file or folder of the real data, `real_data("lidar2d/aces/aces.bag")`. If it is missing: none, and a line
+/// in the list of skipped tests.
 ///
-/// The data are in the folder that `PORTOLAN_DATA` names, else in `../shared/data` beside the repository.
+/// The data are in the folder given by the environment variable `PORTOLAN_DATA`, else in `../shared/data` beside the
+/// repository.
 ///
 /// # Panics
 ///
@@ -17,7 +18,7 @@ pub fn real_data(path: &str) -> Option<PathBuf> {
     existing(data_folder(std::env::var_os("PORTOLAN_DATA").map(PathBuf::from)).join(path))
 }
 
-/// A golden file of Cartographer's, from `spec/testdata` beside the data.
+/// Path of a golden file made with Cartographer, from `spec/testdata` beside the data.
 ///
 /// # Panics
 ///
@@ -41,7 +42,7 @@ fn existing(file: PathBuf) -> Option<PathBuf> {
     exists.then_some(file)
 }
 
-/// All maps of the real data, in order of their names.
+/// All maps of the real data, sorted by path.
 pub fn real_maps() -> Vec<PathBuf> {
     let mut maps = Vec::new();
     let folders = [real_data("maps/reference"), real_data("maps/wild"), spec_data("")];

@@ -1,31 +1,33 @@
-//! How long work takes, for benchmarks.
+//! Measures computing time, for benchmarks.
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
-/// Each work is repeated for so long, but at least [`FEWEST`] times.
+/// Time for which each benchmark is repeated, with at least [`FEWEST`] and at most [`MOST`] runs.
 const BUDGET: Duration = Duration::from_secs(2);
+/// Minimum number of runs of a benchmark.
 const FEWEST: usize = 5;
+/// Maximum number of runs of a benchmark.
 const MOST: usize = 100_000;
 
-/// Times work and prints the shortest and the median time. `cargo bench -- WORD…` times only work with one of the words in its
-/// name.
+/// Times functions and prints the shortest and the median time. `cargo bench -- WORD…` times only those whose name
+/// contains one of the words.
 pub struct Stopwatch {
     words: Vec<String>,
 }
 
 impl Stopwatch {
-    /// With the words of the command line.
+    /// With the words of the command line as filter.
     pub fn of_arguments() -> Self {
         Self { words: std::env::args().skip(1).filter(|argument| !argument.starts_with('-')).collect() }
     }
 
-    /// Times `work`, after it was done once.
+    /// Times `work` after one warm-up run.
     pub fn time<R>(&self, name: &str, mut work: impl FnMut() -> R) {
         self.time_on(name, || (), |()| work());
     }
 
-    /// Times `work` on what `make` makes anew each time, which does not count.
+    /// Times `work` on an input that `make` creates for each run; the time of `make` is not included.
     pub fn time_on<T, R>(&self, name: &str, mut make: impl FnMut() -> T, mut work: impl FnMut(&mut T) -> R) {
         if !self.words.is_empty() && !self.words.iter().any(|word| name.contains(word.as_str())) {
             return;

@@ -1,14 +1,14 @@
-//! Tests of many files in one program.
+//! Checks that all test files are part of the one test program of a crate.
 
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// Asserts that the files in the folder `tests` of a package are modules of the program with this source, but for the
-/// program itself, and for those that are `own_programs`.
+/// Asserts that every source file in the folder `tests` of a package is a module of `tests/all.rs`, whose text is
+/// `source`. Exceptions are `all.rs` itself and the test programs listed in `own_programs`.
 ///
 /// # Panics
 ///
-/// If one is not, or there is no such folder.
+/// If a file is no module, or the folder does not exist.
 #[track_caller]
 pub fn assert_files_are_modules(package: &str, source: &str, own_programs: &[&str]) {
     let modules: BTreeSet<&str> =

@@ -8,15 +8,15 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 static PATHS: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
-/// A temporary file or folder of this process, for as long as this value lives. Dropping it forgets the path and
-/// removes nothing.
+/// Registers a temporary file or folder of this process while this value lives. Dropping it unregisters the path and
+/// does not remove the file.
 #[derive(Debug)]
 pub struct Unfinished {
     path: PathBuf,
 }
 
 impl Unfinished {
-    /// Makes a file or folder of this name and remembers it; nothing can come in between.
+    /// Creates a file or folder of this name and registers it. [`remove_all`] cannot run between the two.
     ///
     /// # Errors
     /// Those of `make`.
@@ -26,7 +26,7 @@ impl Unfinished {
         Ok((Self::listed(&mut paths, path), made))
     }
 
-    /// Makes a file or folder whose name is known only then.
+    /// Creates a file or folder whose name is known only after creation, and registers it.
     ///
     /// # Errors
     /// Those of `make`.
@@ -40,16 +40,16 @@ impl Unfinished {
     }
 
     fn listed(paths: &mut BTreeSet<PathBuf>, path: &Path) -> Self {
-        // The process may go to another folder.
+        // Absolute, because the process may change its working directory.
         let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
         paths.insert(path.clone());
         Self { path }
     }
 
-    /// Gives it its final name by `rename`; [`remove_all`] waits meanwhile.
+    /// Gives the file its final name by `rename` and unregisters it; [`remove_all`] waits meanwhile.
     ///
     /// # Errors
-    /// Those of `rename`; then it is still to be removed.
+    /// Those of `rename`; then the caller still has to remove the file.
     pub fn complete<T, E>(self, rename: impl FnOnce() -> Result<T, E>) -> Result<T, E> {
         let mut paths = paths();
         let renamed = rename();
@@ -71,19 +71,19 @@ fn paths() -> MutexGuard<'static, BTreeSet<PathBuf>> {
     PATHS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Removes all of them, and lets no other be made or completed: for the last moment of a process. Returns how many
-/// there were.
+/// Removes all registered files and folders, and blocks every later creation or completion: to be called immediately
+/// before the process ends. Returns the number of registered paths.
 pub fn remove_all() -> usize {
     let mut paths = paths();
     let count = remove(&mut paths);
-    // Whoever wants to make or complete a file now waits until the process has ended.
+    // The lock is never released: threads that create or complete a file now wait until the process ends.
     std::mem::forget(paths);
     count
 }
 
 fn remove(paths: &mut BTreeSet<PathBuf>) -> usize {
     for path in paths.iter() {
-        // There is nobody to tell.
+        // Errors are ignored: the process ends, and nothing could report them.
         let _ = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
     }
     std::mem::take(paths).len()
@@ -105,11 +105,11 @@ mod tests {
         let (_unfinished, _) =
             Unfinished::create_named(|| fs::create_dir(at("d")).map(|()| at("d")), |p| p).unwrap();
         assert!(Unfinished::create(&at("no"), || fs::write(at("no/no"), "")).is_err());
-        // Not `remove_all`, behind which nothing more can be written.
+        // Not `remove_all`, which keeps the lock, so that nothing could be created afterwards.
         assert_eq!(remove(&mut paths()), 2);
         drop(left);
         let names: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
-        // Whoever fails to complete a file removes it.
+        // A file that could not be completed is removed by its caller, not by the list.
         assert_eq!(names.len(), 2, "{names:?}");
     }
 }

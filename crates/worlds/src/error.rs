@@ -1,17 +1,17 @@
-//! What can be wrong with a world that is asked for.
+//! Errors of drawing a world.
 
 /// Why a world could not be drawn.
 #[derive(Debug, thiserror::Error)]
 pub enum WorldError {
-    /// There is no such kind of building.
+    /// The name of the scene is unknown.
     #[error("there is no scene \"{name}\"; choose one of: {known}")]
     UnknownScene {
-        /// What was asked for.
+        /// The requested name.
         name: String,
-        /// What there is.
+        /// The known names.
         known: String,
     },
-    /// A floor plan of one's own cannot be used.
+    /// A floor plan given by the user is not valid.
     #[error("the floor plan cannot be used: {detail}")]
     BadPlan {
         /// What to change.

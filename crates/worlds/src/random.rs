@@ -14,13 +14,13 @@ pub struct Random {
     spare_gaussian: Option<f64>,
 }
 
-/// FNV-1a.
+/// FNV-1a hash of a name.
 fn hash_name(name: &str) -> u64 {
     name.bytes().fold(0xCBF2_9CE4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0000_0100_0000_01B3))
 }
 
 impl Random {
-    /// The stream number `index` of purpose `name`.
+    /// The stream with number `index` for the purpose `name`.
     pub fn new(seed: u64, name: &str, index: u64) -> Self {
         let keyed = splitmix64(seed.wrapping_add(SplitMix64::GAMMA)) ^ hash_name(name);
         let state = splitmix64(splitmix64(keyed).wrapping_add(index.wrapping_mul(SplitMix64::GAMMA)));

@@ -1,4 +1,5 @@
-//! Results that are written while the disk fails at each operation in turn, and what has to hold of the files then.
+//! Fault injection test: results are written while the disk fails at each operation in turn, and the files that remain
+//! are checked.
 #![allow(clippy::unwrap_used)] // in tests this is how errors are shown
 
 use std::collections::BTreeMap;
@@ -7,25 +8,25 @@ use std::path::Path;
 
 use super::{Fault, fail_at, mend};
 
-/// Why something could not be written.
+/// Error of a run that could not write its results.
 pub type Failure = Box<dyn std::error::Error>;
 
-/// Of which run results are.
+/// Run whose results are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Run {
-    /// Of the one whose files are in the folder before the disk fails.
+    /// Run whose files are in the folder before the disk fails.
     Earlier,
-    /// Of the one during which it fails.
+    /// Run during which the disk fails.
     Later,
 }
 
-/// Files by their names.
+/// Contents of files by name.
 type Files = BTreeMap<String, Vec<u8>>;
 
-/// [`fail_at_every`] operation.
+/// [`fail_at_every`] with step 1: the disk fails at every operation.
 ///
 /// # Panics
-/// As that.
+/// As [`fail_at_every`].
 pub fn fail_everywhere(
     faults: &[Fault],
     compared: fn(&str, Vec<u8>) -> Option<Vec<u8>>,
@@ -34,13 +35,19 @@ pub fn fail_everywhere(
     fail_at_every(1, faults, compared, write)
 }
 
-/// Lets the disk fail at every `step`-th operation of a later run that writes over the files of an earlier one; how many
-/// operations there are. `compared` is what of a file is the same for every run; none leaves it out. A small file takes four
-/// operations: an odd step meets each of them in some file.
+/// Repeats a later run that overwrites the files of an earlier run, and lets the disk fail at every `step`-th operation
+/// in turn. Returns the number of operations of the later run.
+///
+/// `compared` maps name and content of a file to the part that is the same in every run; none excludes the file. A
+/// small file takes four operations: with an odd step each of them fails in some file.
 ///
 /// # Panics
-/// Unless a run that fails says so and names a place in the folder, each file is that of the earlier or of the later run, no
-/// other file is there, and the same run succeeds after the last kind of fault. A run that succeeds in spite of a fault leaves all its files.
+/// If one of these does not hold:
+/// - A run that fails returns an error with the cause and a path in the folder.
+/// - A run that succeeds in spite of a fault leaves all its files.
+/// - Each file is that of the earlier or of the later run; there is no other file, and none that both runs write is
+///   missing.
+/// - After the last kind of fault the same run succeeds when it is repeated.
 pub fn fail_at_every(
     step: usize,
     faults: &[Fault],
@@ -118,7 +125,7 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
-/// Names of files that are not the same, or not in both.
+/// Names of files that differ or are missing on one side.
 fn different<'a>(a: &'a Files, b: &'a Files) -> Vec<&'a String> {
     a.keys().chain(b.keys()).filter(|name| a.get(*name) != b.get(*name)).collect()
 }

@@ -1,11 +1,11 @@
-//! Arguments that several verbs have in common: ids, poses, areas.
+//! Parsers of arguments that several verbs have in common: ids, poses, areas and others.
 
 use portolan_geometry::{Duration, Rigid3, Vector3, rotation_from_roll_pitch_yaw};
 use portolan_ingest::{BeamElevation, RangeNoise};
 use portolan_mapfile::{FrozenTrajectories, MapArea};
 use portolan_pbstream::IdInFile;
 
-/// Numbers separated by commas, as many as `names` has.
+/// `N` finite numbers separated by commas; `names` describes them in the error message.
 pub fn numbers<const N: usize>(text: &str, names: &str) -> Result<[f64; N], String> {
     let values: Vec<f64> = text
         .split(',')
@@ -25,26 +25,26 @@ pub fn area(text: &str) -> Result<MapArea, String> {
     Err(format!("the rectangle {text} is empty"))
 }
 
-/// Threads: more than the largest machines have cores would only stand in each other's way.
+/// Number of threads, at most 256: more threads than the largest machines have cores would only slow each other down.
 pub fn threads(text: &str) -> Result<usize, String> {
     let most = 256;
     let number = text.parse::<usize>().ok().filter(|n| *n <= most);
     number.ok_or_else(|| format!("expected 0 to {most} threads, not \"{text}\""))
 }
 
-/// A length of time in seconds.
+/// Duration in seconds, 0 or more.
 pub fn seconds(text: &str) -> Result<f64, String> {
     let seconds = text.parse::<f64>().ok().filter(|s| s.is_finite() && *s >= 0.0);
     seconds.ok_or_else(|| format!("expected seconds, 0 or more, not \"{text}\""))
 }
 
-/// A limit: a number that is 0 or more.
+/// Finite number, 0 or more.
 pub fn not_negative(text: &str) -> Result<f64, String> {
     let number = text.parse::<f64>().ok().filter(|number| number.is_finite() && *number >= 0.0);
     number.ok_or_else(|| format!("expected a number, 0 or more, not \"{text}\""))
 }
 
-/// A length in metres: pixels and voxels of more than a thousand kilometres show nothing.
+/// Length in metres, above 0 and at most 1,000 km: larger pixels and voxels would be useless.
 pub fn positive_metres(text: &str) -> Result<f64, String> {
     let metres = text.parse::<f64>().ok().filter(|metres| *metres > 0.0 && *metres <= 1e6);
     metres.ok_or_else(|| format!("expected metres, more than 0 and at most 1000000, not \"{text}\""))
@@ -56,23 +56,23 @@ pub fn pose_2d(text: &str) -> Result<Rigid3, String> {
     Ok(Rigid3::new(Vector3::new(x, y, 0.0), Vector3::z() * yaw.to_radians()))
 }
 
-/// What is added to the stamps of topics.
+/// Time offsets that are added to the stamps of topics, from seconds.
 pub fn shifts(offsets: &[(String, f64)]) -> Vec<(String, Duration)> {
     offsets.iter().map(|(topic, seconds)| (topic.clone(), Duration::from_seconds(*seconds))).collect()
 }
 
-/// A topic and seconds: `/imu=-0.05`.
+/// Topic and time offset in seconds: `/imu=-0.05`.
 pub fn time_offset(text: &str) -> Result<(String, f64), String> {
     let parts = text.rsplit_once('=').filter(|(topic, _)| !topic.is_empty());
     let parsed = parts.and_then(|(topic, seconds)| Some((topic.to_owned(), seconds.parse::<f64>().ok()?)));
-    // Clocks that differ by more are found out.
+    // Clocks that differ by more are detected without an option.
     let valid = parsed.filter(|(_, seconds)| seconds.abs() <= 1e6);
     valid.ok_or_else(|| format!("expected TOPIC=SECONDS, not \"{text}\""))
 }
 
-/// By what beams are raised: `auto`, `off` or degrees.
+/// Correction of the elevation of beams: `auto`, `off` or degrees.
 pub fn beam_elevation(text: &str) -> Result<BeamElevation, String> {
-    /// A larger error is none of a calibration.
+    /// Maximum correction, degrees; a larger error is not a calibration error.
     const MOST_DEGREES: f64 = 5.0;
     match text {
         "auto" => Ok(BeamElevation::Auto),
@@ -85,9 +85,9 @@ pub fn beam_elevation(text: &str) -> Result<BeamElevation, String> {
     }
 }
 
-/// How noisy ranges are: `auto`, or a standard deviation in metres.
+/// Noise of ranges: `auto`, or a standard deviation in metres.
 pub fn range_noise(text: &str) -> Result<RangeNoise, String> {
-    /// Noisier readings are none of a lidar.
+    /// Maximum standard deviation, metres; no lidar is noisier.
     const MOST_METRES: f64 = 1.0;
     if text == "auto" {
         return Ok(RangeNoise::Auto);
@@ -117,7 +117,8 @@ pub fn start_pose(text: &str) -> Result<Rigid3, String> {
     pose.map_err(|_| format!("expected {NAMES}, not \"{text}\""))
 }
 
-/// How well a start is known: standard deviations of the position, metres, and of the heading, degrees.
+/// Uncertainty of a start pose: standard deviations of the position, metres, and of the heading, degrees. Returns metres
+/// and radians; the heading defaults to 10 degrees.
 pub fn start_sigma(text: &str) -> Result<(f64, f64), String> {
     let [metres, degrees] = match text.contains(',') {
         true => numbers::<2>(text, "METRES,DEGREES")?,
@@ -128,7 +129,7 @@ pub fn start_sigma(text: &str) -> Result<(f64, f64), String> {
     if is_possible { Ok((metres, degrees.to_radians())) } else { Err(bounds()) }
 }
 
-/// Trajectory and index of a submap or node: `0,12`, or `12` for trajectory 0.
+/// Id of a submap or node, trajectory and index: `0,12`, or `12` for trajectory 0.
 pub fn id(text: &str) -> Result<IdInFile, String> {
     let bad = || format!("expected TRAJECTORY,INDEX, not \"{text}\"");
     let (trajectory, index) = text.split_once(',').unwrap_or(("0", text));

@@ -1,4 +1,4 @@
-//! `portolan check`: what is wrong with recordings and maps, what follows, and what to do.
+//! `portolan check`: diagnoses faults of recordings and maps, with their effect and remedy.
 
 mod map;
 mod places;
@@ -52,21 +52,21 @@ pub struct CheckArgs {
     json: bool,
 }
 
-/// Something that is wrong.
+/// A fault of a recording or map.
 #[derive(Serialize)]
 struct Finding {
     severity: Severity,
     /// Topic of a recording, or message of a map.
     about: String,
-    /// What is wrong; of several of a kind the first.
+    /// Description of the fault; of several of a kind, that of the first.
     what: String,
-    /// How often.
+    /// Number of occurrences.
     count: u64,
-    /// What follows from it.
+    /// Effect on mapping or localisation.
     effect: String,
-    /// What to do.
+    /// Advice.
     advice: String,
-    /// Of maps: what `portolan repair` does about it.
+    /// For maps: what `portolan repair` does about it.
     repair: Option<&'static str>,
 }
 
@@ -77,7 +77,7 @@ struct Report {
     errors: usize,
     warnings: usize,
     findings: Vec<Finding>,
-    /// Of maps, if they are examined: how well places can be told apart.
+    /// For maps, with `--places`: how well localisation can distinguish the places.
     #[serde(skip_serializing_if = "Option::is_none")]
     places: Option<Places>,
     #[serde(skip)]
@@ -130,7 +130,7 @@ fn check(path: &Path, args: &CheckArgs, global: &GlobalArgs) -> Result<Report, C
             (findings, None, histograms)
         }
     };
-    // The worst first, otherwise as they were found.
+    // The most severe first, otherwise in the order in which they were found.
     findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
     let count = |severity| findings.iter().filter(|finding| finding.severity == severity).count();
     Ok(Report {
@@ -145,7 +145,7 @@ fn check(path: &Path, args: &CheckArgs, global: &GlobalArgs) -> Result<Report, C
 }
 
 impl Report {
-    /// Remarks on which nothing has to be done only where they are wanted.
+    /// The report as text. Histograms, and findings that need no action, only if requested.
     fn text(&self, with_histograms: bool, with_harmless: bool) -> String {
         let verdict = match (self.errors, self.warnings) {
             (0, 0) => "nothing wrong was found".to_owned(),

@@ -1,4 +1,4 @@
-//! `portolan compat`: Cartographer's own commands, for scripts that call them.
+//! `portolan compat`: emulates Cartographer's programs, for scripts that call them.
 
 mod ground_truth;
 mod log;
@@ -33,17 +33,17 @@ pub struct CompatArgs {
     command: Vec<String>,
 }
 
-/// Who does what a program does.
+/// Implementation of a program.
 enum Run {
-    /// It is done there.
+    /// Implemented in `portolan_compat`.
     Alone(portolan_compat::Run),
-    /// Another verb does it.
+    /// Implemented by another verb of `portolan`.
     ByVerb(fn(&[String], &GlobalArgs) -> Result<Outcome, CliError>),
 }
 
 use Run::{Alone, ByVerb};
 
-/// The programs, and what each gives.
+/// Supported programs: name, description and implementation.
 const PROGRAMS: [(&str, &str, Run); 10] = [
     ("cartographer_pbstream", "info on maps and their migration", Alone(portolan_compat::pbstream)),
     (
@@ -85,7 +85,7 @@ const PROGRAMS: [(&str, &str, Run); 10] = [
     ),
 ];
 
-/// The standard output, and lines of Cartographer's log.
+/// Console that prints results on stdout, and messages in the format of Cartographer's log.
 struct Terminal;
 
 impl Console for Terminal {
@@ -106,7 +106,7 @@ impl Console for Terminal {
     }
 }
 
-/// Programs that only make sense in a running ROS system or as part of one, and where to turn.
+/// Programs that need a running ROS system or server, with the alternative.
 const ELSEWHERE: [(&str, &str); 7] = [
     ("cartographer_node", "map a recording with `portolan map`"),
     ("cartographer_occupancy_grid_node", "make the map with `portolan render MAP -o map.pgm`"),
@@ -148,7 +148,8 @@ pub fn run(args: &CompatArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
     }
 }
 
-/// The command line, rewritten if the program was called under one of the names.
+/// The command line, rewritten to `portolan compat NAME …` if the program was called through a link with one of the
+/// names.
 pub fn arguments(given: impl Iterator<Item = OsString>) -> Vec<OsString> {
     let given: Vec<OsString> = given.collect();
     let called = given.first().map(|path| program_name(&path.to_string_lossy()));
@@ -161,7 +162,7 @@ pub fn arguments(given: impl Iterator<Item = OsString>) -> Vec<OsString> {
     }
 }
 
-/// The name without folders and `.exe`.
+/// Name of a program without folders and `.exe`.
 fn program_name(path: &str) -> String {
     let name = Path::new(path).file_name().map(|n| n.to_string_lossy().into_owned());
     let name = name.unwrap_or_else(|| path.to_owned());
@@ -179,7 +180,8 @@ fn make_links(folder: &Path) -> Result<Outcome, CliError> {
     Ok(Outcome::Done)
 }
 
-/// What is there under that name stays, unless it is such a link.
+/// Links to the program (copies it where there are no symbolic links). On Unix an existing file of that name is kept and
+/// is an error, unless it is already this link.
 fn link_to(program: &Path, link: &Path) -> std::io::Result<()> {
     if std::fs::read_link(link).is_ok_and(|target| target == program) {
         return Ok(());

@@ -1,4 +1,4 @@
-//! `portolan config`: the options, their meaning and their files.
+//! `portolan config`: shows, explains and checks options and configuration files.
 
 mod check;
 mod explain;

@@ -1,4 +1,4 @@
-//! `portolan convert`: trajectories and pose graphs from one format to another.
+//! `portolan convert`: converts trajectories, pose graphs and maps.
 
 mod format;
 mod graph;
@@ -73,7 +73,7 @@ pub fn run(args: &ConvertArgs, global: &GlobalArgs) -> Result<Outcome, CliError>
         None => Format::of_name(&args.output)?,
     };
     refuse_unused(args, to)?;
-    // A map that gets other poses stays about as large, whatever else is written may be small.
+    // A map with replaced poses is about as large as before; other outputs may be small.
     let map = args.into.as_deref().and_then(|map| std::fs::metadata(map).ok());
     require_room_for(&args.output, (1 << 12) + map.map_or(0, |map| map.len() / 2))?;
     let mut input = open_forward(&args.input)?;
@@ -96,7 +96,7 @@ pub fn run(args: &ConvertArgs, global: &GlobalArgs) -> Result<Outcome, CliError>
     }
 }
 
-/// Options that would be ignored without a word are refused.
+/// Refuses options that would be silently ignored.
 fn refuse_unused(args: &ConvertArgs, to: Format) -> Result<(), CliError> {
     match args.into {
         Some(_) if to != Format::Map => {

@@ -1,4 +1,4 @@
-//! `portolan demo`: a simulated building, mapped and measured against the truth.
+//! `portolan demo`: simulates a building, maps it and evaluates the result against the ground truth.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -19,10 +19,11 @@ use crate::error::{CliError, Outcome};
 use crate::output::{print_summary, write_file};
 use crate::progress::say;
 
-/// Firings of a revolution: half of what the lidar has, so that the demo takes two minutes.
+/// Firings per revolution: half as many as the lidar has, so that the demo takes two minutes.
 const COLUMNS: usize = 900;
-/// The museum of the demo: width and depth, metres, and storeys.
+/// Width and depth of the museum, metres.
 const SIZE: [f64; 2] = [26.0, 20.0];
+/// Number of storeys of the museum.
 const STOREYS: usize = 2;
 
 /// Walk through a simulated museum in 3D, map it, and measure the result against the exact truth.
@@ -102,7 +103,7 @@ fn create_folder(path: &Path) -> Result<(), CliError> {
     std::fs::create_dir_all(path).map_err(|source| CliError::File { path: path.to_owned(), source })
 }
 
-/// Writes what was recorded on the walk, and the true poses.
+/// Writes the simulated recording and the true poses.
 fn record(simulation: &Simulation3d, path: &Path, truth: &Path, global: &GlobalArgs) -> Result<(), CliError> {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(global.thread_count())
@@ -113,14 +114,14 @@ fn record(simulation: &Simulation3d, path: &Path, truth: &Path, global: &GlobalA
     write_file(truth, |out| simulation.write_truth_tum(out, 200.0))
 }
 
-/// Maps as `portolan map` does and leaves the same results.
+/// Maps the recording as `portolan map` does, with the same result files.
 fn map(recording: &dyn Recording, folder: &Path, global: &GlobalArgs) -> Result<Finished, CliError> {
     let request = MapRequest { threads: global.threads, ..MapRequest::new(folder) };
     let job = Job::prepare(recording, request, &mut remarks(global))?;
     run_job(&job, recording, global)
 }
 
-/// Errors of the trajectory in the folder of results against the truth, for people.
+/// Errors of the trajectory in the folder of results against the ground truth, as text.
 fn errors(folder: &Path, truth: &[(Time, Rigid3)], alignment: Alignment) -> Result<String, CliError> {
     let path = folder.join("trajectory.tum");
     let estimate = TrajectoryFile { path: &path, trajectory_id: None, times: None }.read()?.trajectory;

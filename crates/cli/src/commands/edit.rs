@@ -1,4 +1,4 @@
-//! `portolan edit`: maps changed as documents are.
+//! `portolan edit`: edits a map (removes, merges, corrects, moves and optimises parts).
 
 mod steps;
 mod values;

@@ -1,4 +1,4 @@
-//! `portolan evaluate`: how good a trajectory or a map is.
+//! `portolan evaluate`: measures the accuracy of trajectories, maps and clouds.
 
 mod cloud;
 pub mod generate;

@@ -1,4 +1,4 @@
-//! How points, their times and stamps are taken: options of all verbs that read points of recordings.
+//! Options for the treatment of points, their times and stamps, for all verbs that read points of recordings.
 
 use std::path::PathBuf;
 
@@ -33,7 +33,7 @@ pub struct HandlingArgs {
 }
 
 impl HandlingArgs {
-    /// Enters what was asked for.
+    /// Sets the options of ingestion.
     ///
     /// # Errors
     /// Fails if the robot description cannot be read.

@@ -1,4 +1,4 @@
-//! `portolan info`: what recordings and maps hold.
+//! `portolan info`: summarises recordings and maps.
 
 mod describe;
 mod map;
@@ -38,7 +38,7 @@ pub struct InfoArgs {
     json: bool,
 }
 
-/// What is known about one path.
+/// Summary of one path.
 #[derive(Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 enum Info {

@@ -1,4 +1,4 @@
-//! `portolan localize`: where a recording was taken in a saved map.
+//! `portolan localize`: localises a recording in a saved map.
 
 use std::f64::consts::PI;
 use std::ops::ControlFlow;
@@ -95,7 +95,7 @@ pub struct LocalizeArgs {
     pub cut: CutArgs,
 }
 
-/// What `--start` takes.
+/// Value of `--start`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum StartArgument {
     At(Rigid3),
@@ -166,7 +166,8 @@ pub fn run(args: &LocalizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError
     })
 }
 
-/// The map that is wanted, beside the other results.
+/// The map to write besides the other results, of `--save-map` or `--update`. Refuses paths of recordings and of other
+/// results.
 fn save_map(args: &LocalizeArgs, output: &Path) -> Result<Option<SaveMap>, CliError> {
     let (path, growth) = match (&args.save_map, &args.update) {
         (Some(path), _) => (path, Growth::Extend),
@@ -190,7 +191,7 @@ fn save_map(args: &LocalizeArgs, output: &Path) -> Result<Option<SaveMap>, CliEr
     Ok(Some(SaveMap { path: path.clone(), growth }))
 }
 
-/// What became of the map that was wanted, for people.
+/// Message for the user whether the map was written, and how it has changed.
 fn saved_map(saved: &SavedMap) -> String {
     let (path, grown) = match saved {
         SavedMap::Refused(reason) => return format!("NO map was written: {reason}\n"),
@@ -223,11 +224,12 @@ fn saved_map(saved: &SavedMap) -> String {
     format!("{nodes}; {what}\n{}\n", path.display())
 }
 
-/// Standard deviations of starts of which nothing more is said, metres and radians.
+/// Default standard deviations of a start pose, metres and radians.
 const SIGMAS_AT_POSE: (f64, f64) = (0.5, 10.0 * PI / 180.0);
+/// Default standard deviations of a start at a landmark, metres and radians.
 const SIGMAS_AT_LANDMARK: (f64, f64) = (2.0, PI);
 
-/// The start that somebody told, or that of the run before.
+/// The start given by the user, or the last pose of an earlier run (`--start-from`).
 fn start(args: &LocalizeArgs) -> Result<Option<Start>, CliError> {
     if let Some(path) = &args.start_from {
         return Ok(Some(Start::At(last_pose(path)?)));
@@ -251,7 +253,8 @@ fn start(args: &LocalizeArgs) -> Result<Option<Start>, CliError> {
     Ok(Some(Start::At(StartPose { map_from_tracking: told, sigma_metres, sigma_radians })))
 }
 
-/// From the first measurement on there is something worth saving.
+/// Localises with a progress bar. From the first measurement on there are partial results, so that an interruption saves
+/// them.
 fn localize_with_progress(
     recording: &dyn Recording,
     request: &LocalizeRequest,
@@ -278,7 +281,7 @@ fn default_folder(recording: &Path) -> PathBuf {
     PathBuf::from(format!("{}_localized", name.split('.').next().unwrap_or("recording")))
 }
 
-/// What was found, for people.
+/// Summary of a localisation for the user.
 fn summary(localized: &LocalizedRecording, files: &[PathBuf], seconds: f64) -> String {
     let found = match (localized.found(), localized.found_after_seconds()) {
         (Found::Throughout, Some(after)) => format!("found after {after:.1} s and never lost"),

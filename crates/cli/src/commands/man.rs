@@ -1,4 +1,4 @@
-//! `portolan man`: manual pages from the same source as `--help`.
+//! `portolan man`: makes manual pages from the same source as `--help`.
 
 use std::path::{Path, PathBuf};
 

@@ -1,4 +1,4 @@
-//! `portolan map`: from a recording to a map.
+//! `portolan map`: makes a map from a recording.
 
 mod cloud;
 mod degenerate;
@@ -202,7 +202,7 @@ pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     })
 }
 
-/// Beside the working directory's other results: the recording's name with `_map`.
+/// Default folder for the results, in the working directory: the name of the recording with `_map`.
 fn default_folder(recording: &Path) -> PathBuf {
     let name = recording.file_name().map_or_else(|| "recording".into(), |n| n.to_string_lossy());
     PathBuf::from(format!("{}_map", name.split('.').next().unwrap_or("recording")))
@@ -218,14 +218,15 @@ fn load_options(config: &ConfigArgs) -> Result<Option<Options>, CliError> {
     Ok(Some(loaded.options))
 }
 
-/// The configuration, and settings to change in this order: what is said by name of an option comes last.
+/// The configuration, and the settings that are applied to it in this order: those of `--set` come last and take
+/// precedence over other options.
 pub fn requested_options(sensors: &SensorArgs, config: &ConfigArgs) -> Result<RequestedOptions, CliError> {
     let gnss = sensors.gnss.then(|| "use_nav_sat=true".to_owned());
     let settings = gnss.into_iter().chain(config.set.iter().cloned()).collect();
     Ok(RequestedOptions { configuration: load_options(config)?, settings })
 }
 
-/// What the command line and options say of the sensors.
+/// Options for the sensors, from the command line and the configuration.
 pub fn ingest_options(
     sensors: &SensorArgs,
     cut: &CutArgs,
@@ -258,7 +259,8 @@ pub fn ingest_options(
     Ok(ingest)
 }
 
-/// Names --skip and --duration where they left no scan.
+/// Replaces the error that a recording has no usable scan by one that names `--skip` and `--duration`, if they were
+/// given.
 pub fn nothing_left(error: CliError, recording: &dyn Recording, cut: &CutArgs) -> CliError {
     let length = cut.duration.map(|seconds| format!("--duration {seconds}"));
     let skip = (cut.skip > 0.0).then(|| format!("--skip {}", cut.skip));
@@ -273,7 +275,7 @@ pub fn nothing_left(error: CliError, recording: &dyn Recording, cut: &CutArgs) -
     ))
 }
 
-/// Says what is worth knowing, and stops everything when the user asks for it.
+/// Observer of a job: prints its remarks, and stops the job when the user interrupts it.
 pub fn remarks(global: &GlobalArgs) -> impl FnMut(&Event) -> ControlFlow<()> + use<> {
     let quiet = global.quiet;
     move |event| {

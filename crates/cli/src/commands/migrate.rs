@@ -1,4 +1,4 @@
-//! `portolan migrate`: old maps for new programs.
+//! `portolan migrate`: converts maps of format version 1 to version 2.
 
 use std::path::PathBuf;
 

@@ -49,7 +49,7 @@ pub enum Command {
     Man(man::ManArgs),
 }
 
-/// Runs a verb.
+/// Runs the command.
 pub fn run(command: Command, global: &GlobalArgs) -> Result<Outcome, CliError> {
     match command {
         Command::Demo(args) => demo::run(args, global),

@@ -1,4 +1,4 @@
-//! `portolan optimize`: pose graphs and maps moved to where their measurements agree best.
+//! `portolan optimize`: optimises pose graphs and maps.
 
 mod graph;
 mod map;

@@ -1,4 +1,4 @@
-//! `portolan refine`: a trajectory bent until what was seen from it fits together.
+//! `portolan refine`: adjusts a trajectory in continuous time until the point cloud recorded along it is consistent.
 
 pub mod points;
 mod summary;
@@ -145,7 +145,7 @@ struct SemiRigidArgs {
 }
 
 impl SemiRigidArgs {
-    /// `sweep_seconds` is the time of a sweep of the recording.
+    /// Options of the method; `sweep_seconds` is the duration of a sweep of the recording.
     fn options(&self, sweep_seconds: f64) -> SemiRigidOptions {
         let usual = SemiRigidOptions::default();
         let options = SemiRigidOptions {
@@ -217,7 +217,7 @@ impl TuningArgs {
         }
     }
 
-    /// What was asked to count and is not in the recording.
+    /// Warnings for sensors of `--with` that the recording does not have.
     fn without_data(&self, read: &ReadPoints) -> Vec<String> {
         let sensors = &read.sensors;
         let missing = |sensor: &OtherSensor| match sensor {
@@ -229,7 +229,7 @@ impl TuningArgs {
         self.with.iter().filter_map(missing).map(told).collect()
     }
 
-    /// The sensors to read: those that count, and those that say where the result lies.
+    /// Sensors to read: those of `--with`, and the one that `--gauge` needs.
     fn sensors(&self) -> Vec<OtherSensor> {
         let mut sensors = self.with.clone();
         match self.gauge {
@@ -242,7 +242,7 @@ impl TuningArgs {
 }
 
 impl RefineArgs {
-    /// Options that would be ignored without a word are refused.
+    /// Refuses options that would be silently ignored.
     fn check_options(&self) -> Result<(), CliError> {
         if self.trajectory_id != 0 && self.map.is_none() {
             return Err(CliError::Usage("--trajectory-id is for --map only".to_owned()));
@@ -291,7 +291,7 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
     let _made = make_folder(&args.output)?;
     let mut tell = remarks(global);
     let output = OutputFolder::begin(&args.output, "refine", &REFINED_FILES, args.force, &mut tell)?;
-    // Trajectory, report and pictures.
+    // Space for trajectory, report and pictures.
     require_room(&args.output, 1 << 20)?;
     let recording = open_all(&args.recording)?;
     let read = read_points_and(recording.as_ref(), &args.points, &args.tuning.sensors(), global)?;
@@ -327,7 +327,7 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
     })
 }
 
-/// `las` becomes `refined.las`; a name must end in a format that can be written.
+/// Name of the cloud file: `las` becomes `refined.las`; a file name must end in a format that can be written.
 fn cloud_name(text: &str) -> Result<String, String> {
     let name = if text.contains('.') { text.to_owned() } else { format!("refined.{text}") };
     CloudFormat::from_path(Path::new(&name)).map(|_| name).map_err(|_| {
@@ -335,7 +335,7 @@ fn cloud_name(text: &str) -> Result<String, String> {
     })
 }
 
-/// What was typed, without options that results do not depend on.
+/// The command line as typed, without options that do not affect the results.
 fn command_line() -> String {
     let mut words = std::env::args().skip(1);
     let mut line = "portolan".to_owned();

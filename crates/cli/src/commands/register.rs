@@ -1,4 +1,4 @@
-//! `portolan register`: scans brought together.
+//! `portolan register`: registers scans with each other.
 
 mod input;
 mod options;
@@ -129,7 +129,7 @@ fn run_on_pool(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliE
     Ok(if lost || scans.lost_data { outcome.max(Outcome::DataLost) } else { outcome })
 }
 
-/// Where results go, if they are wanted.
+/// Folder for the results; none if no files are to be written.
 fn output_folder(
     args: &RegisterArgs,
     scans: usize,
@@ -140,11 +140,11 @@ fn output_folder(
     Ok(Some(OutputFolder::begin(folder, "register", &names, args.force, &mut remarks(global))?))
 }
 
-/// Whether the result can be trusted: all of it, or some scans. What speaks against it is said.
+/// Whether the result is reliable: all of it, part of the scans, or none. Reasons against it are reported.
 fn trusted(work: &Registration, registered: &[Registered], quiet: bool) -> Outcome {
     let doubtful: Vec<&Registered> = registered.iter().filter(|scan| scan.doubt.is_some()).collect();
     let outcome = match &work.global {
-        // What was matched with all others no longer hangs on the one before.
+        // After global matching a scan no longer depends on its match with the scan before.
         Some(global) if global.converged => Outcome::Done,
         Some(_) => Outcome::Untrusted,
         None if doubtful.is_empty() => Outcome::Done,
@@ -163,12 +163,12 @@ fn trusted(work: &Registration, registered: &[Registered], quiet: bool) -> Outco
     outcome
 }
 
-/// First guesses, about the common origin of the points.
+/// Initial poses of the scans, relative to the common origin of the points.
 fn first_poses(args: &RegisterArgs, scans: &mut Scans) -> Result<Vec<Rigid3>, CliError> {
     let count = scans.clouds.len();
     let poses: Vec<Rigid3> = match (&args.poses, args.guess) {
         (Some(path), _) => input::read_poses(path, count)?,
-        // The correction of each scan carries the next one along, so that one guess serves all.
+        // The correction of each scan is applied to the next one, so that the same guess serves for all scans.
         (None, Some(guess)) => (0..count).map(|i| if i == 0 { Rigid3::identity() } else { guess }).collect(),
         (None, None) => scans.guesses.clone(),
     };
@@ -176,8 +176,8 @@ fn first_poses(args: &RegisterArgs, scans: &mut Scans) -> Result<Vec<Rigid3>, Cl
     Ok(poses.iter().map(|pose| scans.about_origin(pose)).collect())
 }
 
-/// Says which scans could not be matched; whether there are any. That none could be is an error, and where they do not overlap
-/// nothing is to be trusted.
+/// Reports scans that could not be matched; returns whether there are any. It is an error if no scan could be matched;
+/// for two scans that do not overlap the error is [`CliError::Untrusted`].
 fn unmatched(scans: &Scans, report: &SequenceReport, quiet: bool) -> Result<bool, CliError> {
     let mut lost = 0;
     for (index, result) in report.matched.iter().enumerate() {
@@ -236,7 +236,7 @@ fn match_globally(
         .map_err(|error| CliError::Failed(error.to_string()))
 }
 
-/// `x,y,z,roll,pitch,yaw`.
+/// Pose from `x,y,z,roll,pitch,yaw`, metres and radians.
 fn pose(text: &str) -> Result<Rigid3, String> {
     let values: Vec<f64> = text.split(',').filter_map(|v| v.trim().parse().ok()).collect();
     match values.as_slice() {

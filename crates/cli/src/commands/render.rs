@@ -1,4 +1,4 @@
-//! `portolan render`: pictures of maps.
+//! `portolan render`: draws maps as pictures.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -87,7 +87,7 @@ struct Skipped {
     reason: String,
 }
 
-/// Edge of a pixel of ROS maps, metres.
+/// Default edge of a pixel of ROS and grey maps, metres.
 const ROS_RESOLUTION: f64 = 0.05;
 
 pub fn run(args: &RenderArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
@@ -127,12 +127,13 @@ pub fn run(args: &RenderArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
     Ok(outcome)
 }
 
-/// The description of a map for ROS is not named by the user, so that one of something else must not be lost.
+/// Refuses to overwrite a `.yaml` that was not written with the image: its path is not given by the user, so that a
+/// foreign file could be lost.
 fn refuse_foreign_description(image: &Path) -> Result<(), CliError> {
     let path = image.with_extension("yaml");
     let Ok(file) = std::fs::File::open(&path) else { return Ok(()) };
     let mut text = Vec::new();
-    // Those of maps for ROS have a few lines.
+    // Descriptions of ROS maps have only a few lines.
     let read = file.take(1 << 16).read_to_end(&mut text);
     if read.is_ok() && is_ros_map_yaml_of(&String::from_utf8_lossy(&text), image) {
         return Ok(());
@@ -163,7 +164,7 @@ impl Kind {
     }
 }
 
-/// Leaves only the submaps that were asked for.
+/// Keeps only the submaps selected by the user.
 fn choose(args: &RenderArgs, loaded: &mut MapTextures, graph: &PoseGraph) -> Result<(), CliError> {
     let wanted = |id: &IdInFile| {
         (args.trajectory.is_empty() || args.trajectory.contains(&id.0))
@@ -193,7 +194,7 @@ fn choose(args: &RenderArgs, loaded: &mut MapTextures, graph: &PoseGraph) -> Res
     Ok(())
 }
 
-/// Refuses a rectangle in which nothing of the map lies: its picture would be empty.
+/// Refuses a rectangle that does not overlap the map: the picture would be empty.
 fn refuse_empty_crop(args: &RenderArgs, loaded: &MapTextures) -> Result<(), CliError> {
     let content = MapContent { textures: &loaded.textures, trajectories: &[], constraints: &[] };
     let (Some(crop), Ok(map)) = (&args.crop, extent(&content)) else { return Ok(()) };

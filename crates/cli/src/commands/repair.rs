@@ -1,4 +1,4 @@
-//! `portolan repair`: save the intact parts of a damaged map.
+//! `portolan repair`: saves the intact parts of a damaged map.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! `portolan simulate`: recordings of buildings that do not exist, with exact truth.
+//! `portolan simulate`: recordings of simulated buildings with exact ground truth.
 
 mod scenario;
 mod simulated;
@@ -49,7 +49,7 @@ pub fn run(args: &SimulateArgs, global: &GlobalArgs) -> Result<Outcome, CliError
     let format = RecordingFormat::from_path(&args.output).map_err(|e| CliError::Usage(e.to_string()))?;
     let usage = |error: SimulatorError| CliError::Usage(error.to_string());
     let scenario = args.scenario.scenario().map_err(CliError::Usage)?;
-    // Sweeps are made by as many threads as asked for; the bytes are the same.
+    // Sweeps are simulated in parallel; the result does not depend on the number of threads.
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(global.thread_count())
         .build()
@@ -81,7 +81,7 @@ fn write_all(
         written.push(beside(asked, &args.output, ending));
     }
     refuse_equal(std::iter::once(&args.output).chain(&written))?;
-    // Formats that compress make it smaller.
+    // A twentieth, because some formats compress.
     require_room_for(&args.output, (1 << 16) + simulation.size_bytes() / 20)?;
     let count = write_recording(simulation, &args.output, format, global.quiet)?;
     write_file(&written[0], |out| simulation.write_truth(out, rate))?;
@@ -100,14 +100,14 @@ fn write_all(
     Ok(Outcome::Done)
 }
 
-/// The file asked for, or the recording's name with another ending.
+/// The path given by the user, else the path of the recording with another ending.
 fn beside(asked: Option<&Path>, recording: &Path, ending: &str) -> PathBuf {
     asked.map_or_else(|| recording.with_extension(ending), Path::to_owned)
 }
 
-/// Refuses files that would be written over each other.
+/// Refuses output files that would overwrite each other.
 fn refuse_equal<'a>(paths: impl Iterator<Item = &'a PathBuf>) -> Result<(), CliError> {
-    // However they are spelt, as far as their folders are there.
+    // Compares canonical paths; the path as given if its folder does not exist.
     let place = |path: &Path| {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
         let folder = folder.unwrap_or(Path::new(".")).canonicalize().ok()?;
@@ -124,7 +124,7 @@ fn refuse_equal<'a>(paths: impl Iterator<Item = &'a PathBuf>) -> Result<(), CliE
     Ok(())
 }
 
-/// Writes all messages; how many.
+/// Writes all messages; returns their number.
 pub(super) fn write_recording(
     simulation: &dyn Simulated,
     path: &Path,

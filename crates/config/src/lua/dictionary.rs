@@ -1,4 +1,4 @@
-//! Reading a table key by key, with the reading rules and the bookkeeping of Cartographer.
+//! Reads a table key by key, with Cartographer's conversion rules and its check that every key is used.
 
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -10,9 +10,9 @@ use crate::value::{Table, Value};
 
 /// A table that counts how often each of its string keys was read.
 ///
-/// For tables whose keys depend on what they say, such as the stages of a pipeline. Every key must be
-/// read exactly once; [`Dictionary::finish`] of the outermost dictionary tells which were not, in all
-/// dictionaries that were taken out of it. Asking with [`Dictionary::has_key`] does not count.
+/// For tables whose keys depend on their contents, such as the stages of a pipeline. Every key must be read
+/// exactly once. [`Dictionary::finish`] of the outermost dictionary reports the keys that were not, in all
+/// dictionaries that were taken from it. [`Dictionary::has_key`] does not count as reading.
 #[derive(Clone, Debug)]
 pub struct Dictionary(Rc<Inner>);
 
@@ -25,7 +25,7 @@ struct Inner {
 }
 
 impl Dictionary {
-    /// A dictionary of a table, for instance of [`Evaluation::table`](super::Evaluation).
+    /// Creates a dictionary of a table, for instance of [`Evaluation::table`](super::Evaluation).
     pub fn new(table: Table) -> Self {
         Self::at(String::new(), table)
     }
@@ -60,13 +60,13 @@ impl Dictionary {
         self.read(key, "integer", Value::as_integer)
     }
 
-    /// A number of things.
+    /// A number truncated towards zero that must not be negative.
     pub fn non_negative_integer(&self, key: &str) -> Result<usize, ConfigError> {
         let value = self.integer(key)?;
         usize::try_from(value).map_err(|_| ConfigError::Negative { key: self.path_of(key), value })
     }
 
-    /// A real boolean.
+    /// A boolean; other types are not converted.
     pub fn boolean(&self, key: &str) -> Result<bool, ConfigError> {
         self.read(key, "boolean", Value::as_bool)
     }
@@ -95,8 +95,8 @@ impl Dictionary {
         Ok(tables.into_iter().enumerate().map(adopt).collect())
     }
 
-    /// An error for every key, here and in the dictionaries taken from here, that was not read exactly
-    /// once.
+    /// Returns an error for every key, here and in the dictionaries taken from here, that was not read
+    /// exactly once.
     pub fn finish(&self) -> Result<(), ConfigError> {
         let mut errors = Vec::new();
         self.collect_wrong_use(&mut errors);
@@ -159,7 +159,7 @@ impl Dictionary {
 }
 
 impl std::fmt::Display for Dictionary {
-    /// The text form of Cartographer.
+    /// Writes the text form of Cartographer.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(&dump(&self.0.table))
     }

@@ -1,4 +1,4 @@
-//! Writing values as Lua text: the dump of Cartographer byte for byte, and exact literals.
+//! Writes values as Lua text: Cartographer's dump byte for byte, and exact literals.
 
 use crate::error::ConfigError;
 use crate::value::{Table, Value};
@@ -11,8 +11,8 @@ pub fn dump(table: &Table) -> String {
     text
 }
 
-/// What `cartographer_print_configuration` prints: `return <dump>`, or `<path> = <dump>` of the table at
-/// a dotted path. Ends with a line feed.
+/// Output of `cartographer_print_configuration`: `return <dump>`, or `<path> = <dump>` of the table at a
+/// dotted path. Ends with a line feed.
 pub fn print_configuration(table: &Table, subdictionary: Option<&str>) -> Result<String, ConfigError> {
     let Some(path) = subdictionary.filter(|path| !path.is_empty()) else {
         return Ok(format!("return {}\n", dump(table)));

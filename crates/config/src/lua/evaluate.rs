@@ -1,4 +1,4 @@
-//! Running a configuration file, within limits.
+//! Runs a configuration file within limits of time and memory.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;
@@ -13,12 +13,12 @@ use super::snapshot::Snapshot;
 use crate::error::ConfigError;
 use crate::value::{Table, Value};
 
-/// How often the running time is looked at, instructions.
+/// Number of instructions between two checks of the running time.
 const INSTRUCTIONS_PER_CHECK: u32 = 10_000;
-/// Stack of the thread that runs the interpreter.
+/// Stack size of the thread that runs the interpreter, bytes.
 const STACK_SIZE: usize = 8 << 20;
 
-/// What a configuration may use.
+/// Limits of a run.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     /// Running time.
@@ -34,7 +34,7 @@ impl Default for Limits {
     }
 }
 
-/// What running a file gave.
+/// Result of running a file.
 #[derive(Clone, Debug)]
 pub struct Evaluation {
     /// The main file.
@@ -43,13 +43,13 @@ pub struct Evaluation {
     pub table: Table,
     /// Every file that was read, in order, the main file first; built-in ones as `built-in:NAME`.
     pub files: Vec<String>,
-    /// What the configuration printed, line by line; at most 1000 lines are kept.
+    /// Output of the configuration, line by line; at most 1000 lines are kept.
     pub printed: Vec<String>,
     pub(crate) sources: Vec<FoundFile>,
 }
 
-/// Runs a configuration file. Files it includes are sought beside it, then in `directories`, then among
-/// the built-in ones. A bare name that is no file in the working directory is sought in the same way.
+/// Runs a configuration file. Files it includes are searched beside it, then in `directories`, then among the
+/// built-in ones. A bare name that is not a file in the working directory is searched in the same way.
 pub fn evaluate_file(
     path: &Path,
     directories: &[PathBuf],
@@ -80,7 +80,7 @@ pub fn evaluate_file(
     })
 }
 
-/// Runs a configuration given as text; `name` stands for it in messages.
+/// Runs a configuration given as text; `name` is its name in messages.
 pub fn evaluate_text(
     name: &str,
     text: &str,
@@ -92,7 +92,7 @@ pub fn evaluate_text(
     in_thread(limits, move || Ok((main, resolver)))
 }
 
-/// The number a Lua expression such as `math.rad(20)` stands for.
+/// The value of a numeric Lua expression such as `math.rad(20)`.
 pub(crate) fn evaluate_number(expression: &str) -> Option<f64> {
     let limits = Limits { time: Duration::from_secs(5), memory: 16 << 20 };
     let text = format!("return {{ {expression}\n}}");
@@ -103,9 +103,8 @@ pub(crate) fn evaluate_number(expression: &str) -> Option<f64> {
     }
 }
 
-/// Runs the interpreter in a thread of its own. An instruction hook ends what runs too long; what it
-/// cannot reach (a library function, a finaliser, a file that never ends) is left behind when the time
-/// is over.
+/// Runs the interpreter in a thread of its own. An instruction hook ends a run that exceeds its time. What
+/// the hook cannot interrupt (a library function, a finaliser, an endless file) is abandoned at the deadline.
 fn in_thread(
     limits: Limits,
     find: impl FnOnce() -> Result<(FoundFile, Resolver), ConfigError> + Send + 'static,
@@ -118,7 +117,7 @@ fn in_thread(
         };
         match interpreter(limits) {
             Ok(lua) => {
-                // Sent before the interpreter is closed: finalisers cannot be interrupted.
+                // Send before the interpreter is closed: finalisers cannot be interrupted.
                 let result = run_main(&lua, &session);
                 drop(sender.send(result));
             }
@@ -142,7 +141,8 @@ fn in_thread(
     })
 }
 
-/// Lua 5.2 with the libraries that only compute: nothing of files, programs, the environment or the process itself.
+/// Lua 5.2 with only the libraries that compute: without access to files, programs, the environment or the
+/// process itself.
 fn interpreter(limits: Limits) -> mlua::Result<Lua> {
     let libraries = StdLib::TABLE | StdLib::STRING | StdLib::MATH | StdLib::BIT | StdLib::COROUTINE;
     let lua = Lua::new_with(libraries, LuaOptions::default())?;
@@ -155,7 +155,8 @@ fn interpreter(limits: Limits) -> mlua::Result<Lua> {
             if Instant::now() < deadline {
                 return Ok(VmState::Continue);
             }
-            // From now on after every instruction, so that no protected call can swallow the end.
+            // Fail after every instruction from now on, so that a protected call cannot catch the error and
+            // continue.
             let line = debug.current_line();
             let message = functions::too_long(seconds, &debug.source(), line);
             let stop = message.clone();

@@ -1,4 +1,4 @@
-//! `include`, `choose` and `read`, and the memory of a run: which files were read, what was printed.
+//! The functions `include`, `choose` and `read`, and the state of a run: files read and lines printed.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -9,11 +9,11 @@ use mlua::{Error, Lua, MultiValue, Value as LuaValue};
 use super::resolver::{FoundFile, Resolver};
 use crate::error::{ConfigError, Place};
 
-/// Takes away what a configuration may not do.
+/// Lua code that removes what a configuration must not use.
 const PRELUDE: &str = include_str!("prelude.lua");
-/// Most lines of output that are kept.
+/// Maximum number of lines of output that are kept.
 const MAX_PRINTED_LINES: usize = 1000;
-/// Longest line of output that is kept, bytes.
+/// Maximum length of a line of output that is kept, bytes.
 const MAX_PRINTED_LENGTH: usize = 1000;
 
 /// One run of the interpreter.
@@ -23,11 +23,11 @@ pub(super) struct Session(Rc<RefCell<State>>);
 struct State {
     main: FoundFile,
     resolver: Resolver,
-    /// Full paths in the order of inclusion; the main file does not count.
+    /// Full paths in the order of inclusion, without the main file.
     included: Vec<String>,
     sources: Vec<FoundFile>,
     printed: Vec<String>,
-    /// A file that was not found: the error keeps its parts, which a Lua error could not carry.
+    /// Error for a file that was not found. It is kept here because a Lua error could not carry its fields.
     not_found: Option<ConfigError>,
 }
 
@@ -49,7 +49,7 @@ impl Session {
         self.0.borrow().main.clone()
     }
 
-    /// The files read and the lines printed.
+    /// Takes the files read and the lines printed.
     pub fn take(&self) -> (Vec<FoundFile>, Vec<String>) {
         let mut state = self.0.borrow_mut();
         (std::mem::take(&mut state.sources), std::mem::take(&mut state.printed))
@@ -70,7 +70,7 @@ impl Session {
         Err(Error::RuntimeError(message))
     }
 
-    /// The error of the interpreter with its place.
+    /// Converts an error of the interpreter to a configuration error with its position.
     pub fn explain(&self, error: &Error) -> ConfigError {
         let mut state = self.0.borrow_mut();
         let (message, memory) = innermost(error);
@@ -95,7 +95,7 @@ impl Session {
 }
 
 impl State {
-    /// The file of a chunk, which Lua may have shortened at its beginning.
+    /// The file of a chunk; Lua may have shortened the name at its beginning.
     fn place(&self, chunk: &str, line: usize) -> Place {
         let end = chunk.strip_prefix("...");
         let is_meant = |path: &&String| path.as_str() == chunk || end.is_some_and(|end| path.ends_with(end));
@@ -104,24 +104,25 @@ impl State {
     }
 }
 
-/// A configuration of a robot includes three files.
+/// Maximum number of included files; a robot's configuration includes three.
 const MAX_INCLUDED: usize = 100;
-/// Most bytes of files that are kept for messages, outside of the memory that the interpreter counts.
+/// Maximum size of all files kept for messages, bytes; the memory limit of the interpreter does not count
+/// them.
 const MAX_SOURCES: usize = 32 << 20;
 const TOO_LONG: &str = "it ran longer than ";
 
-/// The error that ends a run at its deadline.
+/// Creates the error that ends a run at its deadline.
 pub(super) fn too_long(seconds: f64, source: &mlua::debug::DebugSource<'_>, line: Option<usize>) -> Error {
     let chunk = source.short_src.as_deref().unwrap_or("?");
     Error::RuntimeError(format!("{chunk}:{}: {TOO_LONG}{seconds} s", line.unwrap_or(0)))
 }
 
-/// The name by which Lua calls a file in messages.
+/// Name of a file in messages of Lua.
 pub(super) fn chunk_name(path: &str) -> String {
     format!("@{path}")
 }
 
-/// Makes the functions of the dialect and takes the forbidden ones away.
+/// Installs the functions of the dialect and removes the forbidden ones.
 pub(super) fn install(lua: &Lua, session: &Session) -> mlua::Result<()> {
     let globals = lua.globals();
     let output = session.clone();
@@ -198,7 +199,7 @@ fn one_string(lua: &Lua, function: &str, arguments: &MultiValue) -> mlua::Result
     }
 }
 
-/// Chunk and line from which Lua called a function of ours.
+/// Chunk and line from which Lua called one of these functions.
 fn caller(lua: &Lua) -> Option<(String, usize)> {
     lua.inspect_stack(1, |debug| {
         let source = debug.source().short_src?.into_owned();
@@ -214,7 +215,7 @@ fn located(lua: &Lua, message: &str) -> Error {
     })
 }
 
-/// The message that started it, and whether it was a lack of memory.
+/// The message of the original error, and whether memory ran out.
 fn innermost(error: &Error) -> (String, bool) {
     match error {
         Error::CallbackError { cause, .. } | Error::WithContext { cause, .. } => innermost(cause),
@@ -224,7 +225,7 @@ fn innermost(error: &Error) -> (String, bool) {
     }
 }
 
-/// `file:line: text`.
+/// Splits `file:line: text`.
 fn split_place(message: &str) -> Option<(&str, usize, &str)> {
     let mut from = 0;
     while let Some(colon) = message.get(from..)?.find(':').map(|offset| from + offset) {
@@ -239,7 +240,7 @@ fn split_place(message: &str) -> Option<(&str, usize, &str)> {
     None
 }
 
-/// What helps with errors that files of other versions cause.
+/// Advice for errors that files of other versions cause.
 fn hint(message: &str) -> Option<String> {
     if message.contains("'SPARSE_POSE_GRAPH'") {
         return Some("SPARSE_POSE_GRAPH of old versions is POSE_GRAPH now".to_owned());

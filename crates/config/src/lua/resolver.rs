@@ -1,10 +1,10 @@
-//! Finding the files that a configuration includes.
+//! Finds the files that a configuration includes.
 
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// Largest file that is read, bytes.
+/// Maximum size of a file, bytes.
 const MAX_FILE_SIZE: u64 = 16 << 20;
 
 macro_rules! built_in {
@@ -52,23 +52,23 @@ pub fn built_in_file(name: &str) -> Option<&'static str> {
 /// A file that was found.
 #[derive(Clone, Debug)]
 pub(crate) struct FoundFile {
-    /// Where: a path, or `built-in:NAME`.
+    /// Its path, or `built-in:NAME`.
     pub path: String,
-    /// Its bytes; Lua does not ask for UTF-8.
+    /// Its bytes; Lua does not require UTF-8.
     pub content: Vec<u8>,
     /// Whether it is part of the program.
     pub built_in: bool,
 }
 
-/// Searches directories in order and at last the files that are part of the program.
+/// Searches directories in order and finally the files that are part of the program.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Resolver {
     pub directories: Vec<PathBuf>,
 }
 
 impl Resolver {
-    /// The first readable file of that name. As in Cartographer the name is appended to each directory,
-    /// also if it begins with a slash.
+    /// The first readable file with this name. As in Cartographer the name is appended to each directory,
+    /// even if it begins with a slash.
     pub fn find(&self, name: &str) -> Option<FoundFile> {
         if name.is_empty() {
             return None;
@@ -88,13 +88,13 @@ impl Resolver {
         })
     }
 
-    /// The directories in words.
+    /// The searched directories as text.
     pub fn searched(&self) -> Vec<String> {
         self.directories.iter().map(|directory| directory.display().to_string()).collect()
     }
 }
 
-/// The bytes of a file of sensible size; directories and devices without end are errors.
+/// The bytes of a file of limited size; directories and endless devices are errors.
 pub(crate) fn read_file(path: &Path) -> std::io::Result<Vec<u8>> {
     let mut content = Vec::new();
     File::open(path)?.take(MAX_FILE_SIZE + 1).read_to_end(&mut content)?;

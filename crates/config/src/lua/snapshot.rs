@@ -1,16 +1,16 @@
-//! Copying a Lua table out of the interpreter.
+//! Copies a Lua table out of the interpreter.
 
 use mlua::Value as LuaValue;
 
 use crate::error::ConfigError;
 use crate::value::{Table, Value};
 
-/// Deepest nesting of tables; a table that contains itself ends here.
+/// Maximum nesting of tables; also ends the copy of a table that contains itself.
 const MAX_DEPTH: usize = 64;
-/// Most values in all tables together, counted as often as they are reached.
+/// Maximum number of values in all tables together, counted as often as they are reached.
 const MAX_VALUES: usize = 1_000_000;
 
-/// Most bytes in all strings and keys together, counted as often as they are reached.
+/// Maximum size of all strings and keys together, bytes, counted as often as they are reached.
 const MAX_TEXT: usize = 64 << 20;
 
 /// Copies tables without calling metamethods.

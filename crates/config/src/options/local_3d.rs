@@ -7,7 +7,7 @@ use super::{
 use crate::bounds::Bounds;
 use crate::define::options;
 
-/// `MAX_3D_RANGE` of the shipped files, metres.
+/// Value of `MAX_3D_RANGE` in the shipped files, metres.
 const MAX_3D_RANGE: f32 = 60.0;
 
 options! {

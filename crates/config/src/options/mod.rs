@@ -55,7 +55,7 @@ options! {
 }
 
 impl Options {
-    /// The defaults for mapping in 2D with one laser scanner.
+    /// The defaults for 2D mapping with one laser scanner.
     pub fn for_2d() -> Self {
         let mut options = Self::default();
         options.map_builder.use_trajectory_builder_2d = true;
@@ -63,7 +63,7 @@ impl Options {
         options
     }
 
-    /// The defaults for mapping in 3D with one scanner that gives point clouds.
+    /// The defaults for 3D mapping with one scanner that provides point clouds.
     pub fn for_3d() -> Self {
         let mut options = Self::default();
         options.map_builder.use_trajectory_builder_3d = true;

@@ -1,4 +1,4 @@
-//! `optimization_problem`: what the pose graph is made to agree with, and how much.
+//! `optimization_problem`: residuals and weights of the pose graph.
 
 use super::SolverOptions;
 use crate::bounds::Bounds;

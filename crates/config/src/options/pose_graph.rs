@@ -1,4 +1,4 @@
-//! `pose_graph`: when constraints are sought and when the graph is optimised.
+//! `pose_graph`: when constraints are searched and when the graph is optimised.
 
 use super::{ConstraintBuilderOptions, OptimizationProblemOptions};
 use crate::bounds::Bounds;

@@ -1,4 +1,4 @@
-//! Options of the scan matchers, which occur in local SLAM and in the search for constraints.
+//! Options of the scan matchers, which are used in local SLAM and in the search for constraints.
 
 use super::SolverOptions;
 use crate::bounds::Bounds;

@@ -1,4 +1,4 @@
-//! Tables that occur in several places.
+//! Tables that are used in several places.
 
 use crate::bounds::Bounds;
 use crate::define::options;

@@ -1,4 +1,4 @@
-//! `submaps` of 2D: grids and how scans are drawn into them.
+//! `submaps` of 2D: grids and how scans are inserted into them.
 
 use crate::bounds::Bounds;
 use crate::define::{choices, options};

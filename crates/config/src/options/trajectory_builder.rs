@@ -1,4 +1,4 @@
-//! `trajectory_builder`: what belongs to one trajectory.
+//! `trajectory_builder`: options of one trajectory.
 
 use super::{MotionFilterOptions, TrajectoryBuilder2dOptions, TrajectoryBuilder3dOptions};
 use crate::bounds::Bounds;

@@ -18,7 +18,7 @@ pub struct SolidBox {
 impl SolidBox {
     /// Distance of a point to the surface of the box, from outside or from inside, metres.
     pub fn surface_distance(&self, point: [f64; 3]) -> f64 {
-        // Per axis, how far the point is outside of the box; negative within.
+        // Distance outside the box along each axis; negative inside.
         let outside: [f64; 3] =
             std::array::from_fn(|k| (self.low[k] - point[k]).max(point[k] - self.high[k]));
         let deepest = outside[0].max(outside[1]).max(outside[2]);
@@ -47,7 +47,7 @@ impl Shape for SolidBox {
 /// Reads boxes, one a line: `x0,y0,z0,x1,y1,z1` in metres; lines that begin with `#` are skipped.
 ///
 /// # Errors
-/// If reading fails, or a line has no six numbers or its corners the wrong way round.
+/// If reading fails, a line does not have six numbers, or the corners of a box are swapped.
 pub fn read_boxes(reader: impl BufRead) -> Result<Vec<SolidBox>, EvaluationError> {
     let mut lines = Lines::new(reader);
     let mut boxes = Vec::new();

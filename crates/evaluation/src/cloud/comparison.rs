@@ -1,8 +1,9 @@
 //! Whether one cloud is better than another: a paired test over places.
 //!
-//! Values of neighbouring points are not independent, so that their standard error promises too much. Here values
-//! are first averaged within places of some metres; the differences of places are then judged together, by
-//! resampling them (bootstrap) and by changing their signs at random (permutation), always with the same seed.
+//! Values at neighbouring points are not independent, so their standard error is too optimistic. Values are
+//! therefore first averaged within places of some metres. The differences of all places are then tested
+//! together: by resampling (bootstrap) and by random changes of their signs (permutation test), always with
+//! the same seed.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -11,13 +12,13 @@ use portolan_numeric::{SplitMix64, mean};
 
 use serde::Serialize;
 
-/// Resamples and permutations.
+/// Number of bootstrap resamples and of permutations.
 const DRAWS: usize = 4000;
-/// A place needs so many values in both clouds.
+/// Minimum number of values that a place needs in both clouds.
 const LEAST_VALUES: u32 = 4;
-/// With fewer places nothing is said.
+/// Minimum number of places for a comparison.
 const LEAST_PLACES: usize = 6;
-/// A difference is called real below this probability of chance.
+/// Probability of chance below which a difference counts as significant.
 const SIGNIFICANT: f64 = 0.01;
 
 /// A value at a place, given by its cell.
@@ -26,9 +27,9 @@ pub type PlaceValue = ([i32; 3], f64);
 /// A value before and after.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PairedComparison {
-    /// What is compared.
+    /// Name of the compared quantity.
     pub what: String,
-    /// Places that both clouds have.
+    /// Number of places in both clouds.
     pub places: usize,
     /// Mean over the places before.
     pub before: f64,
@@ -36,16 +37,16 @@ pub struct PairedComparison {
     pub after: f64,
     /// Mean difference (after minus before).
     pub change: f64,
-    /// 95 % of resampled means lie between.
+    /// Interval that contains 95 % of the resampled means.
     pub interval_95: [f64; 2],
-    /// Fraction of places that became less.
+    /// Fraction of places with a smaller value after than before, 0 to 1.
     pub places_less: f64,
     /// Probability of a difference as large by chance (two-sided).
     pub probability_of_chance: f64,
 }
 
 impl PairedComparison {
-    /// −1 if the value became less, 1 if it became more, 0 if that may be chance.
+    /// −1 if the value decreased, 1 if it increased, 0 if the difference may be by chance.
     pub fn direction(&self) -> i32 {
         match self.probability_of_chance < SIGNIFICANT {
             true => self.change.signum() as i32,
@@ -54,12 +55,12 @@ impl PairedComparison {
     }
 }
 
-/// The cell of `edge` metres in which a point lies.
+/// The cell of `edge` metres that contains a point.
 pub fn place_of(point: [f64; 3], edge: f64) -> [i32; 3] {
     point.map(|v| (v / edge).floor().clamp(f64::from(i32::MIN), f64::from(i32::MAX)) as i32)
 }
 
-/// Compares values by place; none if too few places have values enough in both.
+/// Compares values by place; `None` if too few places have enough values in both clouds.
 pub fn compare_places(what: &str, before: &[PlaceValue], after: &[PlaceValue]) -> Option<PairedComparison> {
     let (before, after) = (means(before), means(after));
     let pairs: Vec<(f64, f64)> =
@@ -134,7 +135,7 @@ mod tests {
         (0..400)
             .map(|i| {
                 let noise = random.bits() as f64 / u64::MAX as f64 - 0.5;
-                // Places differ much more than the clouds do: what pairing is for.
+                // The places differ much more than the clouds: the case for pairing.
                 ([i / 10, 0, 0], f64::from(i / 10) + offset + scatter * noise)
             })
             .collect()

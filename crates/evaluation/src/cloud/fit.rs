@@ -1,24 +1,24 @@
-//! A cloud laid onto true surfaces.
+//! Registration of a cloud to true surfaces.
 
 use nalgebra::{Matrix6, Vector6};
 use portolan_geometry::{Rigid3, Vector3, nalgebra as na, quaternion_from_angle_axis};
 
 use super::{TrueSurfaces, spread_sample};
 
-/// Points that the fit is made with.
+/// Maximum number of points used for the fit.
 const POINTS: usize = 8000;
 const MAX_STEPS: usize = 40;
-/// Step of the differences that tell the direction of the nearest surface, metres.
+/// Step of the finite differences for the gradient of the distance, metres.
 const DIFFERENCE: f64 = 1e-3;
-/// Distances beyond this many medians lose weight (Cauchy).
+/// Scale of the Cauchy weight, in medians of the distance; larger distances lose weight.
 const MEDIANS: f64 = 2.0;
-/// It rests when the step is less, metres and radians.
+/// Step size below which the iteration stops, metres and radians.
 const REST: f64 = 1e-7;
 
 impl TrueSurfaces {
-    /// The rigid motion that brings points (metres) nearest to the surfaces, beginning where they are: Gauss and
-    /// Newton's method on the distances, whose gradient is taken by differences. Far points weigh less. What the
-    /// surfaces do not determine stays.
+    /// The rigid motion that moves points (metres) closest to the surfaces, starting from their present
+    /// positions: Gauss–Newton on the distances, with the gradient from finite differences. Distant points
+    /// have less weight. Degenerate directions stay unchanged.
     pub fn fit(&self, points: &[[f64; 3]]) -> Rigid3 {
         let chosen: Vec<[f64; 3]> = spread_sample(points.len(), POINTS)
             .into_iter()
@@ -27,7 +27,8 @@ impl TrueSurfaces {
             .collect();
         let mut pose = Rigid3::identity();
         let Some(first) = chosen.first() else { return pose };
-        // Turns are taken about a place among the points: far from the origin they would be shifts, too.
+        // Rotations are about a centre among the points: about a distant origin they would also be large
+        // translations.
         let centre =
             chosen.iter().fold(Vector3::zeros(), |sum, p| sum + Vector3::from(*p)) / chosen.len() as f64;
         let centre = if centre.iter().all(|v| v.is_finite()) { centre } else { Vector3::from(*first) };
@@ -47,7 +48,7 @@ impl TrueSurfaces {
         pose
     }
 
-    /// Turn and shift of one step about a centre.
+    /// Rotation and translation of one step, about a centre.
     fn fit_step(&self, points: &[[f64; 3]], centre: &Vector3) -> Option<Vector6<f64>> {
         let distances = self.distances(points);
         let sides: Vec<[Vec<f64>; 2]> = (0..3)
@@ -64,7 +65,7 @@ impl TrueSurfaces {
         let (mut matrix, mut right) = (Matrix6::zeros(), Vector6::zeros());
         for (i, (point, distance)) in points.iter().zip(&distances).enumerate() {
             let gradient = Vector3::from_fn(|k, _| (sides[k][0][i] - sides[k][1][i]) / (2.0 * DIFFERENCE));
-            // On a surface and between two of them the distance has no gradient.
+            // On a surface, and midway between two surfaces, the distance has no gradient.
             let Some(gradient) = gradient.try_normalize(0.5).filter(|g| g.iter().all(|v| v.is_finite()))
             else {
                 continue;

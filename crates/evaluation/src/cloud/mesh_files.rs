@@ -12,12 +12,12 @@ use crate::EvaluationError;
 pub struct Mesh {
     /// Its triangles; polygons are cut into fans.
     pub triangles: Vec<Triangle>,
-    /// Faces that were left out because they name corners that are not there or have coordinates that are no numbers.
+    /// Number of faces that were left out because they refer to vertices that do not exist or are not finite.
     pub left_out: usize,
 }
 
 impl Mesh {
-    /// Adds a polygon by the numbers of its corners.
+    /// Adds a polygon given by the indices of its vertices.
     fn add(&mut self, vertices: &[[f64; 3]], corners: &[usize]) {
         let corner = |i: usize| vertices.get(i).copied().filter(|p| p.iter().all(|v| v.is_finite()));
         let places: Option<Vec<[f64; 3]>> = corners.iter().map(|i| corner(*i)).collect();
@@ -34,8 +34,8 @@ fn bad(reason: impl Into<String>) -> EvaluationError {
     EvaluationError::BadMesh(reason.into())
 }
 
-/// Whether bytes begin like a mesh rather than like a table of boxes or points; a PLY file may turn out to be a
-/// cloud without faces.
+/// Whether the bytes begin like a mesh and not like a table of boxes or points. A PLY file may still turn out
+/// to be a cloud without faces.
 pub fn is_mesh(bytes: &[u8]) -> bool {
     bytes.starts_with(b"ply") || stl::is_stl(bytes) || obj::is_obj(bytes)
 }

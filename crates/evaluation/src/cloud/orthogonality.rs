@@ -1,8 +1,8 @@
 //! Mutual orthogonality: mean plane variance over the surfaces of three directions at right angles (Kornilova and
 //! Ferrer, "Be your own benchmark: no-reference trajectory metric on registered point clouds", 2021).
 //!
-//! Floor, and walls of two directions, bind all six degrees of freedom. What lies on other surfaces, or on none,
-//! does not blur the figure.
+//! A floor, and walls of two directions, constrain all six degrees of freedom. Other surfaces and points off
+//! surfaces do not affect the metric.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::fmt;
@@ -11,15 +11,15 @@ use portolan_geometry::Vector3;
 use portolan_spatial::Neighbourhood;
 use serde::Serialize;
 
-/// Directions that are tried as the first axis, spread over the hemisphere (5° apart).
+/// Number of directions that are tried as the first axis, spread over the hemisphere (5° apart).
 const DIRECTIONS: usize = 800;
-/// Turns about it that are tried, over a quarter of a turn.
+/// Number of rotations about the first axis that are tried, over a quarter of a revolution.
 const TURNS: usize = 18;
-/// Normals within this angle of an axis belong to it, radians.
+/// Maximum angle between an axis and the normals that belong to it, radians.
 const CONE: f64 = 10.0 * PI / 180.0;
-/// Times that the axes are drawn to the normals that belong to them.
+/// Number of times that the axes are refined with the normals that belong to them.
 const ROUNDS: usize = 4;
-/// Each axis must have so many surfaces.
+/// Minimum number of surfaces of each axis.
 const LEAST_MEMBERS: usize = 20;
 
 /// Thinness of the surfaces along three directions at right angles.
@@ -31,13 +31,13 @@ pub struct MutualOrthogonality {
     pub standard_error: f64,
     /// The axes, unit vectors in the frame of the cloud.
     pub axes: [[f64; 3]; 3],
-    /// Surfaces that belong to each axis.
+    /// Number of surfaces that belong to each axis.
     pub surfaces: [usize; 3],
     /// Fraction of all planar neighbourhoods that belong to one of the axes, 0 to 1.
     pub share: f64,
 }
 
-/// Finds the three axes that most surfaces belong to; none if there are no three.
+/// Finds the three orthogonal axes to which most surfaces belong; `None` if there are no such axes.
 pub fn mutual_orthogonality(neighbourhoods: &[Neighbourhood]) -> Option<MutualOrthogonality> {
     let planar: Vec<&Neighbourhood> = neighbourhoods.iter().filter(|n| n.is_planar()).collect();
     let normals: Vec<Vector3> = planar.iter().map(|n| Vector3::from(n.normal)).collect();
@@ -68,7 +68,7 @@ pub fn mutual_orthogonality(neighbourhoods: &[Neighbourhood]) -> Option<MutualOr
     })
 }
 
-/// The axis within whose cone a normal lies.
+/// The axis whose cone contains a normal.
 fn axis_of(normal: &Vector3, axes: &[Vector3; 3]) -> Option<usize> {
     axes.iter().position(|axis| axis.dot(normal).abs() > CONE.cos())
 }
@@ -99,7 +99,8 @@ fn best_axes(normals: &[Vector3]) -> Option<[Vector3; 3]> {
         directions.iter().copied().zip(counts).filter(|(_, count)| *count > 0).collect();
     let mut best: Option<(u64, [Vector3; 3])> = None;
     for first in &directions {
-        // Any direction at a right angle; the one with the least part of the first is safe.
+        // Any perpendicular direction; the coordinate axis with the smallest component in the first axis is
+        // numerically safe.
         let start = Vector3::ith(first.iamin(), 1.0).cross(first).normalize();
         for turn in 0..TURNS {
             let (sin, cos) = (FRAC_PI_2 * turn as f64 / TURNS as f64).sin_cos();
@@ -120,7 +121,7 @@ fn best_axes(normals: &[Vector3]) -> Option<[Vector3; 3]> {
     best.map(|(_, axes)| axes)
 }
 
-/// The rotation that draws the axes to the normals that belong to them.
+/// The orthogonal axes that fit best to the normals that belong to them.
 fn drawn_to(normals: &[Vector3], axes: &[Vector3; 3]) -> Option<[Vector3; 3]> {
     let mut sums = [Vector3::zeros(); 3];
     for normal in normals {
@@ -172,7 +173,7 @@ mod tests {
         for i in 0..100 {
             let sign = if i % 2 == 0 { 1.0 } else { -1.0 };
             found.extend((0..3).map(|k| surface(turn * Vector3::ith(k, sign), 1e-4)));
-            // Thick surfaces in a slanting direction do not count.
+            // Thick surfaces in an oblique direction do not count.
             found.push(surface(turn * Vector3::new(1.0, 1.0, 1.0).normalize(), 3e-4));
         }
         let metric = mutual_orthogonality(&found).unwrap();

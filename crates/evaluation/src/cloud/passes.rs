@@ -1,4 +1,4 @@
-//! Distances between what was seen at different times: after drift a wall seen twice stands twice.
+//! Distances between points measured in different passes: with drift, a wall measured twice appears twice.
 
 use std::fmt;
 
@@ -6,12 +6,12 @@ use portolan_spatial::{Neighbourhood, ThinnedCloud};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// What counts as another pass.
+/// Criteria for points of another pass.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PassOptions {
-    /// Seconds that lie at least between two passes.
+    /// Minimum time between two passes, seconds.
     pub gap: f64,
-    /// Points farther apart belong to different surfaces, metres.
+    /// Maximum distance between points of one surface, metres.
     pub max_distance: f64,
 }
 
@@ -24,35 +24,35 @@ impl Default for PassOptions {
 /// Distances from planar places of a cloud to the nearest points of other passes, metres.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PassDistances {
-    /// With which options.
+    /// Options used.
     pub options: PassOptions,
-    /// Planar places that were looked at.
+    /// Number of planar places that were examined.
     pub places: usize,
-    /// Fraction of them with a point of another pass near, 0 to 1.
+    /// Fraction of them with a point of another pass nearby, 0 to 1.
     pub seen_again: f64,
-    /// Median distance of the nearest points; it depends on density.
+    /// Median distance of the nearest points; depends on the density of points.
     pub median_distance: f64,
-    /// Median distance of them across the surface; it does not.
+    /// Median of this distance across the surface; does not depend on the density.
     pub median_across: f64,
     /// Mean distance across the surface.
     pub mean_across: f64,
-    /// 95 of 100 distances across the surface are less.
+    /// 95th percentile of the distance across the surface.
     pub percentile_95_across: f64,
 }
 
 /// The distance at one place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PassDistance {
-    /// Which point of the cloud.
+    /// Index of the point in the cloud.
     pub index: u32,
-    /// To the nearest point of another pass, metres.
+    /// Distance to the nearest point of another pass, metres.
     pub distance: f64,
-    /// The part of it across the surface, metres.
+    /// Component of this distance across the surface, metres.
     pub across: f64,
 }
 
-/// Measures the planar ones of some neighbourhoods of a cloud; `seconds` are the times of all points of the cloud.
-/// None if no place was seen again.
+/// Measures at the planar ones among the neighbourhoods of a cloud; `seconds` are the times of all points of
+/// the cloud. The summary is `None` if no place has a point of another pass nearby.
 pub fn pass_distances(
     cloud: &ThinnedCloud,
     neighbourhoods: &[Neighbourhood],
@@ -129,7 +129,7 @@ mod tests {
     use super::*;
     use portolan_spatial::SharpnessOptions;
 
-    /// A wall seen twice, the second time `offset` metres behind the first.
+    /// A wall seen in two passes, the second time `offset` metres behind the first.
     fn walls(offset: f64) -> (Vec<[f64; 3]>, Vec<f64>) {
         (0..20_000)
             .map(|i| {

@@ -1,4 +1,4 @@
-//! Everything that can be measured of a cloud without truth.
+//! All quality measures of a cloud that need no ground truth.
 
 use std::fmt;
 
@@ -10,17 +10,17 @@ use super::orthogonality::{MutualOrthogonality, mutual_orthogonality};
 use super::passes::{PassDistance, PassDistances, PassOptions, pass_distances};
 use super::thickness::{WallThickness, wall_thickness};
 
-/// Edge of the places that a comparison counts as independent, metres.
+/// Edge of the places that a comparison treats as independent, metres.
 const PLACE: f64 = 2.0;
 
-/// How a cloud is judged.
+/// Options of the quality measures.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct QualityOptions {
-    /// Neighbourhoods.
+    /// Options of the neighbourhoods.
     pub sharpness: SharpnessOptions,
-    /// Edge of the cells in which walls are looked for, metres.
+    /// Edge of the cells in which wall thickness is measured, metres.
     pub wall_cell: f64,
-    /// What is another pass.
+    /// Criteria for another pass.
     pub passes: PassOptions,
 }
 
@@ -30,10 +30,10 @@ impl Default for QualityOptions {
     }
 }
 
-/// How good a cloud is, as far as the cloud itself can tell.
+/// Quality of a cloud, measured from the cloud alone.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CloudQuality {
-    /// Points of the cloud that were looked at.
+    /// Number of points of the cloud.
     pub points: usize,
     /// Mean map entropy and mean plane variance.
     pub sharpness: Option<Sharpness>,
@@ -41,7 +41,7 @@ pub struct CloudQuality {
     pub orthogonality: Option<MutualOrthogonality>,
     /// Thickness of walls.
     pub walls: Option<WallThickness>,
-    /// Distances between passes; none without times, or if nothing was seen twice.
+    /// Distances between passes; `None` without times, or if no place was seen in two passes.
     pub passes: Option<PassDistances>,
     #[serde(skip)]
     values: PlaceValues,
@@ -55,19 +55,19 @@ struct PlaceValues {
     across: Vec<PlaceValue>,
 }
 
-/// A cloud to be judged.
+/// A cloud to be evaluated.
 #[derive(Clone, Copy, Debug)]
 pub struct CloudToJudge<'a> {
     /// Metres, any frame.
     pub points: &'a [[f64; 3]],
-    /// Times of the points, seconds from any moment; empty if they are not known.
+    /// Times of the points, seconds from any origin; empty if unknown.
     pub seconds: &'a [f64],
-    /// Where the points are counted as being in comparisons: for clouds of the same points (before and after) one of
-    /// them stands for both; empty: where they are.
+    /// Positions that assign the points to places in comparisons. For two clouds of the same points (before
+    /// and after), give both the positions of one of them. If empty, `points` is used.
     pub places: &'a [[f64; 3]],
 }
 
-/// Judges a cloud. The result is the same for any number of threads.
+/// Measures the quality of a cloud. The result does not depend on the number of threads.
 pub fn cloud_quality(cloud: &CloudToJudge, options: &QualityOptions) -> CloudQuality {
     let thinned = ThinnedCloud::new(cloud.points, options.sharpness.max_points);
     let neighbourhoods = thinned.neighbourhoods(&options.sharpness);
@@ -104,7 +104,8 @@ fn place_values(
 }
 
 impl CloudQuality {
-    /// Compares with a cloud of the same places: what changed from this one to `after`, and whether that may be chance.
+    /// Compares with a cloud of the same places: the changes from this cloud to `after`, with their
+    /// probability of chance.
     pub fn compared_with(&self, after: &Self) -> Vec<PairedComparison> {
         let (a, b) = (&self.values, &after.values);
         [
@@ -142,7 +143,7 @@ impl fmt::Display for CloudQuality {
 mod tests {
     use super::*;
 
-    /// A corner of a room seen twice, the second time moved by `drift`.
+    /// A corner of a room seen in two passes, the second one moved by `drift`.
     fn room(drift: f64) -> (Vec<[f64; 3]>, Vec<f64>) {
         (0..60_000)
             .map(|i| {

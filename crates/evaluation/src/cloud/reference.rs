@@ -1,16 +1,17 @@
-//! A more exact cloud as the truth, for example of a terrestrial scanner.
+//! Ground truth from a more accurate cloud, for example of a terrestrial laser scanner.
 
 use portolan_geometry::Vector3;
 use portolan_spatial::KdTree;
 use portolan_spatial::Moments;
 
-/// Points of the reference that tell the surface at a place.
+/// Number of points of the reference that define the local surface.
 const NEIGHBOURS: usize = 12;
-/// A point beside the reference is measured to its nearest point; beside is farther along the surface than this
-/// many times the mean distance of the neighbours.
+/// Limit of the distance along the surface from the nearest reference point, in multiples of the mean
+/// distance of its neighbours. Beyond it a point is beside the reference, and its distance to the nearest
+/// point is used instead of that to the plane.
 const BESIDE: f64 = 2.0;
 
-/// The points of a reference with a search tree.
+/// The points of a reference cloud with a search tree.
 #[derive(Clone, Debug)]
 pub struct ReferenceCloud {
     origin: [f64; 3],
@@ -19,7 +20,7 @@ pub struct ReferenceCloud {
 }
 
 impl ReferenceCloud {
-    /// Sorts the points (metres). None if fewer than three are finite.
+    /// Builds the search tree of points (metres). `None` if fewer than three are finite.
     pub fn new(points: &[[f64; 3]]) -> Option<Self> {
         let origin = *points.iter().find(|p| p.iter().all(|v| v.is_finite()))?;
         let points: Vec<[f32; 3]> =
@@ -28,8 +29,8 @@ impl ReferenceCloud {
         (tree.len() >= 3).then_some(Self { origin, points, tree })
     }
 
-    /// Distance of a point to the surface, metres: to the plane through the points about the nearest one where they
-    /// lie on a plane, else to the nearest one.
+    /// Distance of a point to the surface, metres: to the plane through the neighbours of the nearest
+    /// reference point where these are planar, otherwise to the nearest point.
     pub(crate) fn distance(&self, point: [f64; 3], found: &mut Vec<portolan_spatial::Neighbour>) -> f64 {
         let query: [f32; 3] = std::array::from_fn(|k| (point[k] - self.origin[k]) as f32);
         let Some(nearest) = self.tree.nearest(query, f32::INFINITY) else { return f64::INFINITY };

@@ -1,6 +1,6 @@
-//! The nearest of many shapes: a tree of bounding boxes.
+//! Search for the nearest of many shapes with a tree of bounding boxes.
 
-/// Something with a surface.
+/// A shape with a surface.
 pub(crate) trait Shape {
     /// Least and greatest corner of a box that holds it, metres.
     fn bounds(&self) -> [[f64; 3]; 2];
@@ -8,23 +8,23 @@ pub(crate) trait Shape {
     /// Distance of a point to its surface, metres.
     fn distance(&self, point: [f64; 3]) -> f64;
 
-    /// The numbers that make it: shapes with the same ones are the same.
+    /// The numbers that define the shape; shapes with equal numbers are equal.
     fn numbers(&self) -> [f64; 9];
 }
 
-/// Most shapes of a leaf.
+/// Maximum number of shapes in a leaf.
 const LEAF: usize = 4;
 
 #[derive(Clone, Copy, Debug)]
 struct Node {
     bounds: [[f64; 3]; 2],
-    /// First shape of a leaf, or the second child; the first child follows its parent.
+    /// Index of the first shape of a leaf, or of the second child; the first child follows its parent.
     first: u32,
-    /// Shapes of a leaf; 0 for a node with children.
+    /// Number of shapes of a leaf; 0 for a node with children.
     count: u32,
 }
 
-/// Shapes, sorted so that the nearest is found without looking at all.
+/// Shapes in a tree, so that the nearest one is found without visiting all.
 #[derive(Clone, Debug)]
 pub(crate) struct ShapeTree<S> {
     shapes: Vec<S>,
@@ -32,7 +32,7 @@ pub(crate) struct ShapeTree<S> {
 }
 
 impl<S: Shape> ShapeTree<S> {
-    /// Sorts shapes into a tree. Of equal ones, which no tree tells apart, one stays.
+    /// Sorts shapes into a tree. Duplicates, which no split could separate, are removed.
     pub fn new(mut shapes: Vec<S>) -> Self {
         let key = |shape: &S| shape.numbers().map(f64::to_bits);
         shapes.sort_by_cached_key(key);
@@ -73,7 +73,7 @@ impl<S: Shape> ShapeTree<S> {
     }
 }
 
-/// How far a point is outside of a box.
+/// Distance of a point outside a box; zero inside.
 fn outside([low, high]: &[[f64; 3]; 2], point: [f64; 3]) -> f64 {
     let squared: f64 = (0..3).map(|k| (low[k] - point[k]).max(point[k] - high[k]).max(0.0).powi(2)).sum();
     squared.sqrt()

@@ -1,4 +1,4 @@
-//! Distance of points to true surfaces.
+//! Distances of points to true surfaces.
 
 use std::fmt;
 
@@ -11,9 +11,9 @@ use super::{ReferenceCloud, SolidBox, Triangle};
 /// Distances of the points of a cloud to the true surfaces, metres.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SurfaceErrors {
-    /// Points that were measured.
+    /// Number of points that were measured.
     pub count: usize,
-    /// Points that were left out because they are too far from every surface.
+    /// Number of points that were left out because they are too far from every surface, or not finite.
     pub beyond: usize,
     /// Mean distance.
     pub mean: f64,
@@ -21,7 +21,7 @@ pub struct SurfaceErrors {
     pub rms: f64,
     /// Median.
     pub median: f64,
-    /// 95 of 100 points are nearer.
+    /// 95th percentile.
     pub percentile_95: f64,
     /// Fraction of points within 5 cm, 0 to 1.
     pub within_5_cm: f64,
@@ -44,12 +44,12 @@ impl TrueSurfaces {
         (!boxes.is_empty()).then(|| Self(Surfaces::Boxes(ShapeTree::new(boxes))))
     }
 
-    /// A mesh; none without triangles.
+    /// Surfaces of a mesh; none without triangles.
     pub fn triangles(triangles: Vec<Triangle>) -> Option<Self> {
         (!triangles.is_empty()).then(|| Self(Surfaces::Triangles(ShapeTree::new(triangles))))
     }
 
-    /// A more exact cloud.
+    /// Surfaces of a more accurate cloud.
     pub fn cloud(cloud: ReferenceCloud) -> Self {
         Self(Surfaces::Cloud(cloud))
     }
@@ -73,8 +73,8 @@ pub fn surface_errors(points: &[[f64; 3]], boxes: &[SolidBox]) -> Option<Surface
 }
 
 impl SurfaceErrors {
-    /// Sums up distances; those beyond `reach` metres (points of something that the truth does not have), and those
-    /// that are not finite, are only counted. None if there are no others.
+    /// Summarises distances. Distances beyond `reach` metres (points of something that the truth does not
+    /// contain) and those that are not finite are only counted. `None` if no others remain.
     pub fn of(mut distances: Vec<f64>, reach: f64) -> Option<Self> {
         let all = distances.len();
         distances.retain(|d| d.is_finite() && *d <= reach);

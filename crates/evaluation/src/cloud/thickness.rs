@@ -1,4 +1,4 @@
-//! Thickness of walls: how far the points of planar patches scatter across them.
+//! Thickness of walls: scatter of the points of planar patches across the patch.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -7,27 +7,26 @@ use portolan_geometry::Vector3;
 use portolan_spatial::Moments;
 use serde::Serialize;
 
-/// Patches with fewer points do not count.
+/// Minimum number of points in a patch.
 const MIN_POINTS: f64 = 20.0;
 
 /// Thickness (standard deviation across) of the planar patches of a cloud, metres.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct WallThickness {
-    /// Edge of the cubic cells a patch lies in, metres.
+    /// Edge of the cubic cell of a patch, metres.
     pub cell: f64,
-    /// Planar patches.
+    /// Number of planar patches.
     pub patches: usize,
     /// Median over the patches.
     pub median: f64,
-    /// Nine of ten patches are thinner.
+    /// 90th percentile over the patches.
     pub percentile_90: f64,
-    /// How many patches lie between each multiple of half a centimetre and the next; the last counts all
-    /// that are thicker.
+    /// Number of patches in each bin of half a centimetre; the last bin also counts all thicker patches.
     pub histogram_half_centimetres: Vec<u32>,
 }
 
-/// Measures the thickness of planar patches in cells of `cell` metres (frame and place of the cells are
-/// those of the points); none if there is no planar patch.
+/// Measures the thickness of planar patches in cells of `cell` metres, in the frame of the points; `None` if
+/// there is no planar patch.
 pub fn wall_thickness(points: &[[f64; 3]], cell: f64) -> Option<WallThickness> {
     const BINS: usize = 20;
     if cell.is_nan() || cell <= 0.0 {

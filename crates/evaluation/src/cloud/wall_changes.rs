@@ -1,13 +1,13 @@
-//! Where walls changed most between two clouds of the same points.
+//! Finds where the thickness of walls changed most between two clouds of the same points.
 
 use portolan_geometry::Vector3;
 use portolan_spatial::{Moments, PlaneFit, VoxelHash};
 use serde::Serialize;
 
-/// Cells with fewer points do not count.
+/// Minimum number of points in a cell.
 const LEAST_POINTS: f64 = 40.0;
 
-/// Points of one cell of the second cloud, as they lie in both.
+/// The points in one cell of the second cloud, at their positions in both clouds.
 #[derive(Clone, Copy, Debug, Default)]
 struct Cell {
     before: Moments,
@@ -32,17 +32,17 @@ pub struct WallChange {
     pub before: f64,
     /// The same in the second cloud.
     pub after: f64,
-    /// Its points.
+    /// Number of points.
     pub points: u64,
 }
 
 impl WallChanges {
-    /// Nothing yet; cells of the second cloud have this edge, metres.
+    /// No points yet; `edge` is the edge of the cells in the second cloud, metres.
     pub fn new(edge: f64) -> Self {
         Self { edge: if edge > 0.0 { edge } else { 0.5 }, cells: VoxelHash::default() }
     }
 
-    /// Adds a point as it lies in the first and in the second cloud (metres).
+    /// Adds a point by its positions in the first and in the second cloud (metres).
     pub fn add(&mut self, before: [f64; 3], after: [f64; 3]) {
         if !before.iter().chain(&after).all(|v| v.is_finite()) {
             return;
@@ -55,8 +55,8 @@ impl WallChanges {
         cell.after.add(&within(after));
     }
 
-    /// The walls that changed most, at least `apart` metres from each other, at most `count`; the largest change
-    /// first. A wall is what is wide in two directions and thin in the third, in either cloud.
+    /// The walls that changed most, largest change first: at most `count`, at least `apart` metres from each
+    /// other. A wall is wide in two directions and thin in the third, in the cloud in which it is thinner.
     pub fn largest(&self, count: usize, apart: f64) -> Vec<WallChange> {
         let mut changes: Vec<([i32; 3], WallChange)> = self
             .cells
@@ -109,7 +109,7 @@ mod tests {
             let random = |k: f64| (f64::from(i) * k).fract();
             let (u, v) = (20.0 * random(0.754_877_666), 2.0 * random(0.569_840_291));
             let noise = 0.01 * (random(0.381_966_011) - 0.5);
-            // The first metres of the wall stood twice, 6 cm apart.
+            // The first metres of the wall are doubled, 6 cm apart.
             let doubled = if u < 2.0 && i % 2 == 0 { 0.06 } else { 0.0 };
             changes.add([u, 0.25 + noise + doubled, v], [u, 0.25 + noise, v]);
         }

@@ -23,17 +23,17 @@ const NAMES: [&[&str]; 11] = [
     &["yaw", "theta"],
 ];
 
-/// Where which column stands.
+/// The position of each column.
 struct Columns([Option<usize>; 11]);
 
 impl Columns {
-    /// From a line of names; none if it is not one. What follows a name in brackets is not looked at.
+    /// Parses a line of names; `None` if it is not one. Text in brackets after a name is ignored.
     fn parse(line: &str) -> Option<Self> {
         let mut columns = [None; 11];
         for (index, field) in line.trim_start_matches(['#', ' ']).split(',').enumerate() {
             let name = field.split(['(', '[']).next().unwrap_or_default().trim().to_ascii_lowercase();
             let known = NAMES.iter().position(|names| names.contains(&name.as_str()));
-            // The first column of a name counts.
+            // If a name occurs twice, the first column is used.
             if let Some(column) = known.and_then(|k| columns.get_mut(k)).filter(|c| c.is_none()) {
                 *column = Some(index);
             }
@@ -53,9 +53,9 @@ impl Columns {
     }
 }
 
-/// Reads a table whose first line names its columns: `time` (Unix seconds), `x`, `y`, perhaps `z`
-/// (metres), and `qx`, `qy`, `qz`, `qw` or `roll`, `pitch`, `yaw` (or `theta`; radians). Columns may
-/// stand in any order; others are not looked at; the first line may begin with `#`.
+/// Reads a table whose first line names its columns: `time` (Unix seconds), `x`, `y`, optionally `z`
+/// (metres), and `qx`, `qy`, `qz`, `qw` or `roll`, `pitch`, `yaw` (or `theta`; radians). Columns may be in
+/// any order; others are ignored; the first line may begin with `#`.
 ///
 /// # Errors
 /// If reading fails, or a line is not what the format asks for.

@@ -10,12 +10,12 @@ use super::{bad_line, both, pose_of};
 use crate::EvaluationError;
 use crate::trajectory::{TimedPose, Trajectory, TrajectoryRepairs};
 
-/// Files larger than this are not taken for trajectories.
+/// Maximum size of a file, bytes.
 const MAX_BYTES: u64 = 1 << 30;
 
 /// Writes trajectories with their numbers. With a frame, coordinates are longitude, latitude (degrees) and
-/// height (metres), as GeoJSON wants them; without, they are metres in the map. The properties `times` (Unix
-/// seconds as text, exact) and `rotations` (x, y, z, w) have one entry for each coordinate.
+/// height (metres), as GeoJSON requires; without one, they are metres in the map. The properties `times`
+/// (Unix seconds as text, exact) and `rotations` (x, y, z, w) have one entry for each coordinate.
 ///
 /// # Errors
 /// If writing fails.
@@ -58,10 +58,10 @@ fn coordinates(position: &Vector3<f64>, frame: Option<&EastNorthUp>) -> String {
 }
 
 /// Reads trajectories as [`write_geojson`] writes them. Lines without `times` are left out and counted as
-/// invalid poses; without `rotations` the rotation is none. Coordinates in degrees need the frame.
+/// invalid poses. Without `rotations` the rotation is the identity. Coordinates in degrees need the frame.
 ///
 /// # Errors
-/// If reading fails, the text is no GeoJSON, or its coordinates are degrees and no frame says where the map lies.
+/// If reading fails, the text is not GeoJSON, or its coordinates are degrees and `frame` is `None`.
 pub fn read_geojson(
     reader: impl Read,
     frame: Option<&EastNorthUp>,

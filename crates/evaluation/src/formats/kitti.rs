@@ -8,8 +8,8 @@ use super::{Lines, bad_line, parse_number, parse_time};
 use crate::EvaluationError;
 use crate::trajectory::{TimedPose, Trajectory, TrajectoryRepairs};
 
-/// Reads one pose per line: twelve numbers, row by row. The rotation is made orthogonal; how far it may
-/// be off is not checked, except that it must have three directions.
+/// Reads one pose per line: twelve numbers, row by row. The rotation is orthogonalised; one that is far from
+/// orthogonal is an error.
 ///
 /// # Errors
 /// If reading fails, or a line is not what the format asks for.
@@ -38,13 +38,14 @@ pub fn read_kitti_poses(reader: impl BufRead) -> Result<Vec<Rigid3>, EvaluationE
     Ok(poses)
 }
 
-/// The rotation nearest to a matrix, if it is near at all.
+/// The rotation nearest to a matrix. `None` if an entry of `RᵀR − I` exceeds 0.1 or the determinant is
+/// negative.
 fn rotation_of(matrix: &na::Matrix3<f64>) -> Option<Quaternion> {
     let off = matrix.transpose() * matrix - na::Matrix3::identity();
     if off.amax() > 0.1 || matrix.determinant() < 0.0 {
         return None;
     }
-    // A rotation matrix read with few digits: its columns made orthogonal, symmetrically.
+    // The matrix may have been written with few digits: orthogonalise its columns symmetrically.
     let svd = matrix.try_svd(true, true, f64::EPSILON, 100)?;
     let rotation = na::Rotation3::from_matrix_unchecked(svd.u? * svd.v_t?);
     Some(Quaternion::from_rotation_matrix(&rotation))

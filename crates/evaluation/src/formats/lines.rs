@@ -1,4 +1,4 @@
-//! Lines of a text file from anywhere.
+//! Reads text files from untrusted sources line by line.
 
 use std::io::BufRead;
 
@@ -6,10 +6,10 @@ use portolan_input::{Line, read_line};
 
 use crate::EvaluationError;
 
-/// No line of numbers is longer than this.
+/// Maximum length of a line, bytes.
 const MAX_LINE: usize = 1 << 16;
 
-/// Reads line by line without believing in the length of any.
+/// Reads line by line, with a limit on the length of a line.
 pub(crate) struct Lines<R> {
     reader: R,
     number: usize,

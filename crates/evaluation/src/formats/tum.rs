@@ -6,7 +6,7 @@ use super::{Lines, bad_line, both, parse_number, parse_time, pose_of};
 use crate::EvaluationError;
 use crate::trajectory::{TimedPose, Trajectory, TrajectoryRepairs};
 
-/// Reads a TUM trajectory. Blank lines and comments are skipped, disorder is repaired and counted, a
+/// Reads a TUM trajectory. Blank lines and comments are skipped. Poses out of order are sorted and counted. A
 /// line of anything but eight numbers is an error.
 ///
 /// # Errors

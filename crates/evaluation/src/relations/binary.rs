@@ -7,7 +7,7 @@ use portolan_geometry::{Quaternion, Rigid3, Time, nalgebra as na, pose_from_xyz_
 use super::Relation;
 use crate::EvaluationError;
 
-/// A relation as it stands in the file, every field zero unless given.
+/// A relation as stored in the file; absent fields are zero.
 #[derive(Clone, Copy, Default)]
 struct RawRelation {
     timestamp1: i64,
@@ -18,8 +18,8 @@ struct RawRelation {
 }
 
 impl RawRelation {
-    /// A quaternion of unit length stays as it is to the last bit, so that files come out as they went
-    /// in; one that is a little off is normalised.
+    /// Keeps a quaternion of unit length to the last bit, so that reading and writing a file does not change
+    /// it. A quaternion that is slightly off is normalised.
     fn pose(&self) -> Option<Rigid3> {
         let mut pose = pose_from_xyz_quaternion(self.translation, self.rotation_xyzw)?;
         let [x, y, z, w] = self.rotation_xyzw;
@@ -31,7 +31,7 @@ impl RawRelation {
     }
 }
 
-/// Reads relations from the bytes of a file. Fields that are not known are skipped.
+/// Reads relations from the bytes of a file. Unknown fields are skipped.
 ///
 /// # Errors
 /// If the bytes are damaged, or of another format.
@@ -197,7 +197,7 @@ fn put_varint(out: &mut Vec<u8>, mut value: u64) {
     out.push(value as u8);
 }
 
-/// Zero is the default and is not written.
+/// Writes an integer field. Zero is the default and is not written.
 fn put_integer(out: &mut Vec<u8>, number: u64, value: i64) {
     if value != 0 {
         put_varint(out, number << 3);
@@ -205,7 +205,7 @@ fn put_integer(out: &mut Vec<u8>, number: u64, value: i64) {
     }
 }
 
-/// Zero is the default and is not written, but minus zero is.
+/// Writes a floating-point field. Zero is the default and is not written, but minus zero is.
 fn put_double(out: &mut Vec<u8>, number: u64, value: f64) {
     if value.to_bits() != 0 {
         put_varint(out, number << 3 | 1);

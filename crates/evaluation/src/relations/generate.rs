@@ -11,7 +11,7 @@ use crate::{EvaluationError, TimedPose};
 /// Trajectory and index of a node or a submap.
 pub type IdInMap = (u32, u32);
 
-/// What relations are made from.
+/// The part of a map from which relations are made.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MapGraph {
     /// Optimised nodes, tracking frame in the global map.
@@ -22,14 +22,14 @@ pub struct MapGraph {
     pub constraints: Vec<MapConstraint>,
 }
 
-/// A constraint as it stands in a file.
+/// A constraint as stored in a file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapConstraint {
     /// The submap.
     pub submap: IdInMap,
     /// The node.
     pub node: IdInMap,
-    /// The node was inserted into the submap; otherwise it was found in it.
+    /// Whether the node was inserted into the submap; if not, the constraint is a loop closure.
     pub is_intra: bool,
     /// The node's tracking frame in the submap.
     pub submap_from_node: Rigid3,
@@ -38,11 +38,11 @@ pub struct MapConstraint {
 /// Which loop closures become relations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GenerateOptions {
-    /// Metres that must have been covered between both ends; default 100.
+    /// Minimum path length between both ends, metres; default 100.
     pub min_covered_distance: f64,
-    /// Largest disagreement with the optimised map, metres; default 0.15.
+    /// Largest difference from the optimised map, metres; default 0.15.
     pub outlier_threshold_meters: f64,
-    /// Largest disagreement with the optimised map, radians; default 0.02.
+    /// Largest difference from the optimised map, radians; default 0.02.
     pub outlier_threshold_radians: f64,
 }
 
@@ -52,12 +52,12 @@ impl Default for GenerateOptions {
     }
 }
 
-/// Relations, and how many loop closures were no good.
+/// Relations, and the number of rejected loop closures.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GeneratedRelations {
     /// In the order of the constraints.
     pub relations: Vec<Relation>,
-    /// Loop closures that disagree with the optimised map.
+    /// Number of loop closures that disagree with the optimised map.
     pub outliers: usize,
 }
 
@@ -72,11 +72,12 @@ pub(super) fn bad(reason: impl Into<String>) -> EvaluationError {
     EvaluationError::BadMap(reason.into())
 }
 
-/// Every loop closure of a map of one trajectory relates its node to the middle of its submap. Those that span enough of the
-/// trajectory and agree with the optimised map are taken for true.
+/// Relates the node of every loop closure of a one-trajectory map to the middle of its submap. Loop closures
+/// that span enough of the trajectory and agree with the optimised map are taken as true.
 ///
 /// # Errors
-/// If a constraint names what is not there, or the map has more than one trajectory.
+/// If a constraint refers to a node or submap that is not in the map, or the map has more than one
+/// trajectory.
 pub fn generate_relations(
     map: &MapGraph,
     options: &GenerateOptions,
@@ -124,15 +125,16 @@ pub fn generate_relations(
     Ok(generated)
 }
 
-/// Quaternions in files are a little off their length, and Cartographer normalises every product.
+/// Product with the rotation normalised: quaternions in files are slightly off unit length, and Cartographer
+/// normalises every product.
 fn product(a: &Rigid3, b: &Rigid3) -> Rigid3 {
     let mut product = a * b;
     product.rotation.renormalize();
     product
 }
 
-/// For each submap but the last the first node of the next one: the middle of the submap, because
-/// submaps overlap by half.
+/// For each submap but the last, the first node of the next submap. It is at the middle of the submap,
+/// because submaps overlap by half.
 fn representative_nodes(map: &MapGraph) -> Result<Vec<IdInMap>, EvaluationError> {
     let mut representatives = Vec::new();
     for constraint in map.constraints.iter().filter(|c| c.is_intra) {
@@ -160,8 +162,8 @@ mod tests {
     use super::*;
     use portolan_geometry::{Time, Vector3};
 
-    /// Out along a line of forty nodes and back again, submaps of ten nodes that overlap by five; the
-    /// way back is found in the submaps of the way out.
+    /// Out and back along a line of forty nodes, with submaps of ten nodes that overlap by five. Nodes of the
+    /// return path have loop closures to submaps of the outward path.
     fn map() -> MapGraph {
         let position = |i: u32| if i < 40 { f64::from(i) } else { f64::from(79 - i) };
         let pose = |i: u32| {

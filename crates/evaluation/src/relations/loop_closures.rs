@@ -1,4 +1,4 @@
-//! Whether the loop closures of a map are right.
+//! Checks whether the loop closures of a map are correct.
 
 use std::collections::BTreeMap;
 
@@ -8,16 +8,17 @@ use super::generate::{IdInMap, MapConstraint, MapGraph, bad, node};
 use super::{Relation, RelationReport};
 use crate::{EvaluationError, Trajectory};
 
-/// Loop closures within these errors count as right: metres and degrees.
+/// Largest errors of a loop closure that counts as correct: metres and degrees.
 pub const RIGHT_WITHIN: (f64, f64) = (0.2, 3.0);
 
-/// Each loop closure as a motion between two times, in the order of the file: from the node of the
-/// submap that is nearest to where the loop closure says the other node is, to that other node. Compare
-/// them with a true trajectory to learn which loop closures are right; local SLAM's own error within a
-/// submap is then hardly in the figures.
+/// Each loop closure as a motion between two times, in the order of the file. The motion goes to the node of
+/// the loop closure, from the submap's own node that is nearest to it according to the loop closure. Compared
+/// with a true trajectory, the motions show which loop closures are correct. This choice of the start keeps
+/// the error of local SLAM within a submap small in the result.
 ///
 /// # Errors
-/// If a constraint names what is not there.
+/// If a constraint refers to a node or submap that is not in the map, or a submap with a loop closure has no
+/// nodes.
 pub fn loop_closure_relations(map: &MapGraph) -> Result<Vec<Relation>, EvaluationError> {
     let mut own_nodes: OwnNodes = BTreeMap::new();
     for constraint in map.constraints.iter().filter(|c| c.is_intra) {
@@ -27,7 +28,7 @@ pub fn loop_closure_relations(map: &MapGraph) -> Result<Vec<Relation>, Evaluatio
     loops.map(|constraint| relation(map, constraint, &own_nodes)).collect()
 }
 
-/// The nodes of each submap, and where they lie in it.
+/// The nodes of each submap, with their poses in the submap.
 type OwnNodes = BTreeMap<IdInMap, Vec<(IdInMap, Rigid3)>>;
 
 fn relation(
@@ -51,9 +52,9 @@ fn relation(
     })
 }
 
-/// The same motions between the times of the true poses that are nearest to theirs, at most `longest`
-/// away; those that have none are left out. The short ways between are taken from the estimate, because a
-/// true trajectory with a pose every few seconds says nothing of the turns between them.
+/// The same motions, between the times of the true poses nearest to their own times, at most `longest` away.
+/// Relations without such poses are left out. The short motions in between are taken from the estimate: a
+/// true trajectory with a pose every few seconds does not contain the rotation between its poses.
 pub fn at_times_of(
     truth: &Trajectory,
     estimate: &Trajectory,
@@ -74,7 +75,7 @@ pub fn at_times_of(
 }
 
 impl RelationReport {
-    /// Fraction of the relations within metres and degrees, 0 to 1.
+    /// Fraction of the relations with errors within these metres and degrees, 0 to 1.
     pub fn fraction_right(&self, (metres, degrees): (f64, f64)) -> f64 {
         let right = self.errors.iter().filter(|e| e.translation <= metres && e.rotation_degrees <= degrees);
         right.count() as f64 / self.errors.len().max(1) as f64

@@ -1,4 +1,4 @@
-//! How well a trajectory agrees with relations (`spec/tools.md` §1.3).
+//! Error of a trajectory with respect to relations (`spec/tools.md` §1.3).
 
 use std::fmt;
 use std::io::Write;
@@ -11,7 +11,7 @@ use super::Relation;
 use crate::statistics::{ErrorStatistics, MeanDeviation};
 use crate::{EvaluationError, Histogram, Trajectory};
 
-/// Disagreement with one relation.
+/// Error of the trajectory with respect to one relation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RelationError {
     /// The relation.
@@ -22,12 +22,13 @@ pub struct RelationError {
     pub rotation_degrees: f64,
 }
 
-/// Disagreement with all relations. Printed as the four lines of Cartographer's tool.
+/// Errors with respect to all relations. Printed as the four lines of Cartographer's tool.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RelationReport {
-    /// How many relations.
+    /// Number of relations.
     pub count: usize,
-    /// Relations of which a time lies outside the trajectory, whose nearest end was used instead.
+    /// Number of relations with a time outside the trajectory; there the nearest end of the trajectory was
+    /// used.
     pub outside_trajectory: usize,
     /// Metres.
     pub absolute_translation: MeanDeviation,
@@ -37,21 +38,21 @@ pub struct RelationReport {
     pub absolute_rotation: MeanDeviation,
     /// Square degrees.
     pub squared_rotation: MeanDeviation,
-    /// Metres: more figures than Cartographer prints.
+    /// Metres; statistics that Cartographer does not print.
     pub translation: ErrorStatistics,
-    /// Degrees: more figures than Cartographer prints.
+    /// Degrees; statistics that Cartographer does not print.
     pub rotation_degrees: ErrorStatistics,
-    /// One by one, in the order of the relations.
+    /// Error for each relation, in their order.
     #[serde(skip)]
     pub errors: Vec<RelationError>,
 }
 
-/// Compares a trajectory with at least two relations. Poses are interpolated; outside the trajectory
-/// its first or last pose is taken. The times must be of one clock, see
+/// Compares a trajectory with at least two relations. Poses are interpolated; before the first and after the
+/// last pose that pose is used. All times must come from one clock; see
 /// [`in_time_base`](super::in_time_base).
 ///
 /// # Errors
-/// If the trajectory has no poses, or fewer than two relations lie within it.
+/// If the trajectory has no poses, or there are fewer than two relations.
 pub fn relation_errors(
     trajectory: &Trajectory,
     relations: &[Relation],

@@ -10,8 +10,8 @@ use crate::formats::{Lines, bad_line, parse_number, parse_time};
 
 const FIELDS: usize = 8;
 
-/// Reads records of eight numbers, separated by any white space: two times in seconds, translation in
-/// metres, rotation `Rz(yaw) Ry(pitch) Rx(roll)` in radians. What follows a `#` in a line is a comment.
+/// Reads records of eight numbers, separated by any white space: two times in seconds, translation in metres,
+/// rotation `Rz(yaw) Ry(pitch) Rx(roll)` in radians. The rest of a line after `#` is a comment.
 ///
 /// # Errors
 /// If reading fails, a field is no number, or the last record is cut off.
@@ -57,7 +57,7 @@ fn parse_record(record: &[String], line: usize) -> Result<Relation, EvaluationEr
     })
 }
 
-/// Writes one relation per line. Covered distances have no place in this format.
+/// Writes one relation per line. The format has no field for covered distances.
 ///
 /// # Errors
 /// If writing fails.

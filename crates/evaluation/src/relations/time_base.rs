@@ -1,4 +1,4 @@
-//! Relations whose times are counted from elsewhere.
+//! Corrects relations whose times have another origin than the times of the trajectory.
 
 use std::fmt;
 
@@ -7,18 +7,18 @@ use portolan_geometry::{Duration, Time};
 use super::Relation;
 use crate::{EvaluationError, Trajectory};
 
-/// CARMEN logs count seconds from the start of the logger or of the computer. Recordings that were
-/// converted from them carry a billion seconds more, because zero times mean "now" elsewhere.
+/// CARMEN logs count seconds from the start of the logger or of the computer. Recordings that were converted
+/// from them have 10⁹ seconds added, because elsewhere a time of zero means "now".
 const CARMEN_OFFSET: Duration = Duration::from_ticks(10_000_000_000_000_000);
 
-/// Says that the times of relations were shifted, and how well they fit now.
+/// Notice that the times of relations were shifted, and how well they fit after that.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimeBaseNotice {
-    /// What was added to their times.
+    /// Offset that was added to the times.
     pub offset: Duration,
-    /// Relations that lie within the trajectory now.
+    /// Number of relations within the trajectory after the shift.
     pub inside: usize,
-    /// All relations.
+    /// Number of all relations.
     pub count: usize,
 }
 
@@ -34,13 +34,14 @@ impl fmt::Display for TimeBaseNotice {
     }
 }
 
-/// Brings relations to the clock of a trajectory. As long as any of them lies within it nothing
-/// changes. If none does, but most do when their times are a billion seconds later (CARMEN times and a
-/// converted recording) or earlier, they are shifted and the notice says so. If nothing helps it is an
-/// error: clamped to the ends of the trajectory they would say nothing.
+/// Converts the times of relations to the clock of a trajectory. If any relation is within the time span of
+/// the trajectory, nothing changes. If none is, but at least half are when their times are shifted by plus
+/// 10⁹ seconds (CARMEN times and a converted recording) or minus 10⁹ seconds, all are shifted and a notice is
+/// returned. If neither shift helps, this is an error: clamped to the ends of the trajectory, the relations
+/// would measure nothing.
 ///
 /// # Errors
-/// If the trajectory has no poses, or the relations lie outside of its time on either clock.
+/// If the trajectory has no poses, or the relations are outside its time span on either clock.
 pub fn in_time_base(
     trajectory: &Trajectory,
     relations: &[Relation],
@@ -68,8 +69,8 @@ pub fn in_time_base(
     })
 }
 
-/// Relations that touch the trajectory when shifted: either time will do, because logs often begin a
-/// little before the first node and end a little after the last.
+/// Number of relations that overlap the trajectory when shifted. One of the two times suffices, because logs
+/// often begin a little before the first node and end a little after the last.
 fn count_inside(span: (Time, Time), relations: &[Relation], offset: Duration) -> usize {
     let inside = |time: Time| (span.0..=span.1).contains(&(time + offset));
     relations.iter().filter(|r| inside(r.time1) || inside(r.time2)).count()

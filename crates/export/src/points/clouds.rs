@@ -10,10 +10,10 @@ use portolan_numeric::format_general;
 use super::{Flush, Log, PointsBatch, PointsError, Stage};
 use crate::colour::to_bytes;
 
-/// Of coordinates in text: hundredths of a millimetre in UTM.
+/// Number of significant digits of coordinates in text far from the origin: hundredths of a millimetre in UTM.
 const DIGITS_FAR_AWAY: usize = 12;
 
-/// Which file.
+/// Format of the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum CloudKind {
     Ply,
@@ -21,20 +21,20 @@ pub(super) enum CloudKind {
     Xyz,
 }
 
-/// Writes all points that come by.
+/// Writes all points.
 pub(super) struct WriteCloud {
     kind: CloudKind,
     path: PathBuf,
-    /// Of the points.
+    /// Frame of the points.
     frame: NearFrame,
     file: Option<AtomicFile>,
-    /// Of the first points.
+    /// Content of the first points.
     content: Content,
     count: u64,
     bytes: Vec<u8>,
 }
 
-/// What points have.
+/// Values of points in the file.
 #[derive(Clone, Copy, Default)]
 struct Content {
     /// Whether positions are in double precision: those far from the origin.
@@ -44,7 +44,7 @@ struct Content {
 }
 
 impl WriteCloud {
-    /// Begins the file, so that it is known at once if it cannot be.
+    /// Creates the file at once, so that errors are reported before points are processed.
     pub fn create(kind: CloudKind, path: PathBuf, frame: &NearFrame) -> Result<Self, PointsError> {
         let file = Some(AtomicFile::create(&path)?);
         let (frame, content) = (*frame, Content::default());

@@ -23,9 +23,9 @@ impl Stage for ColourSensor {
     }
 }
 
-/// `intensity_to_color`: grey by intensity, for points that have one.
+/// `intensity_to_color`: grey by intensity, for points with an intensity.
 pub(super) struct IntensityToGrey {
-    /// Empty for all sensors.
+    /// Sensor to which it applies; empty for all sensors.
     pub frame_id: String,
     pub min_intensity: f32,
     pub max_intensity: f32,

@@ -1,24 +1,24 @@
-//! What can go wrong with a pipeline.
+//! Errors of a pipeline.
 
 use portolan_atomic_file::WriteError;
 use portolan_config::ConfigError;
 use portolan_grids::{GridError, InserterOptionError};
 
-/// Why a pipeline cannot be made or fails.
+/// Why a pipeline cannot be built or fails.
 #[derive(Debug, thiserror::Error)]
 pub enum PointsError {
     /// An option is missing, not used or of the wrong type.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// A stage that is not known.
+    /// An unknown stage.
     #[error("there is no stage \"{action}\"; there are: {known}")]
     UnknownAction {
-        /// The one asked for.
+        /// Name asked for.
         action: String,
-        /// All of them.
+        /// Names of all stages.
         known: String,
     },
-    /// A value that a stage cannot work with.
+    /// An invalid value of an option.
     #[error("stage {action}: {reason}")]
     Setting {
         /// The stage.
@@ -26,10 +26,10 @@ pub enum PointsError {
         /// What is wrong.
         reason: String,
     },
-    /// A file before a stage that needs all points several times.
+    /// A stage that writes files comes before one that needs all points several times.
     #[error("{0} must be configured to occur after any stages that require multiple passes.")]
     Order(&'static str),
-    /// A batch that does not fit the file.
+    /// A batch lacks values that the file has.
     #[error(
         "{path}: its first points have {what}, these have not; filter by frame_id_filter, or colour all points"
     )]
@@ -39,7 +39,7 @@ pub enum PointsError {
         /// `colours` or `intensities`.
         what: &'static str,
     },
-    /// A picture or a map of voxels that would take too much memory.
+    /// A picture or voxel map would take too much memory.
     #[error("stage {action}: {reason}; choose a larger voxel or filter by range")]
     TooLarge {
         /// The stage.
@@ -50,10 +50,10 @@ pub enum PointsError {
     /// The floors of a building cannot be distinguished.
     #[error("separate_floors: {0}")]
     Floors(&'static str),
-    /// A grid refuses its points.
+    /// Points cannot be inserted into a grid.
     #[error(transparent)]
     Grid(#[from] GridError),
-    /// A grid refuses its options.
+    /// A grid cannot be built with its options.
     #[error("range_data_inserter: {0}")]
     Inserter(#[from] InserterOptionError),
     /// A file cannot be written.

@@ -1,10 +1,10 @@
-//! Stages that let points through or not, and count them.
+//! Stages that filter and count points.
 
 use portolan_sensor::FixedRatioSampler;
 
 use super::{Flush, Log, PointsBatch, PointsError, Stage};
 
-/// `dump_num_points`: tells how many points came by.
+/// `dump_num_points`: logs the number of points.
 #[derive(Default)]
 pub(super) struct CountPoints {
     count: u64,
@@ -26,7 +26,7 @@ impl Stage for CountPoints {
     }
 }
 
-/// `fixed_ratio_sampler`: an evenly spread share of the points.
+/// `fixed_ratio_sampler`: keeps an evenly spread fraction of the points.
 pub(super) struct Sample {
     start: FixedRatioSampler,
     sampler: FixedRatioSampler,
@@ -50,17 +50,17 @@ impl Stage for Sample {
     }
 
     fn end_pass(&mut self, _flush: Flush, _log: Log) -> Result<(), PointsError> {
-        // Every pass takes the same points.
+        // Every pass keeps the same points.
         self.sampler = self.start.clone();
         Ok(())
     }
 }
 
-/// `frame_id_filter`: batches of some sensors.
+/// `frame_id_filter`: filters batches by the sensor.
 pub(super) enum FrameFilter {
-    /// Only these.
+    /// Keeps only these.
     Keep(Vec<String>),
-    /// All but these.
+    /// Keeps all others.
     Drop(Vec<String>),
 }
 
@@ -78,7 +78,7 @@ impl Stage for FrameFilter {
     }
 }
 
-/// `min_max_range_filter`: points by their distance from the sensor, metres.
+/// `min_max_range_filter`: keeps points by their distance from the sensor, metres.
 pub(super) struct RangeFilter {
     min_squared: f32,
     max_squared: f32,
@@ -103,7 +103,7 @@ impl Stage for RangeFilter {
     }
 }
 
-/// `vertical_range_filter`: points by their height above the sensor, metres.
+/// `vertical_range_filter`: keeps points by their height above the sensor, metres.
 pub(super) struct HeightFilter {
     pub min_z: f32,
     pub max_z: f32,

@@ -1,17 +1,17 @@
-//! Floors of a building, distinguished by the heights of a trajectory (`tools.md` §3).
+//! Distinguishes floors of a building by the heights of a trajectory (`tools.md` §3).
 
 use portolan_geometry::{Rigid3, Time};
 
 use super::PointsError;
 
-/// A span of a trajectory ends where its height is so far from the middle height of the span, metres.
+/// Deviation from the median height of a span at which the span ends, metres.
 const NEW_SPAN: f64 = 2.5;
-/// Spans whose middle heights differ by less are at one level, metres.
+/// Difference of median heights below which spans are at one level, metres.
 const SAME_LEVEL: f64 = 1.0;
-/// Shorter spans are stairs or lifts, metres of way.
+/// Path length below which a span counts as stairs or a lift, metres.
 const SHORT: f64 = 25.0;
 
-/// When the trajectory was on one floor.
+/// A floor, with the times at which the trajectory was on it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Floor {
     /// First and last time of each stay, ascending.
@@ -32,20 +32,20 @@ impl Floor {
 struct Span {
     first: usize,
     end: usize,
-    /// Middle height, metres.
+    /// Median height, metres.
     z: f64,
     is_long: bool,
 }
 
-/// The floors of a trajectory, from the lowest. Long spans at the same height are one floor; a short span joins
-/// the floor at its height, or else both those before and after it.
+/// Finds the floors of a trajectory, from the lowest. Long spans at the same height are one floor. A short
+/// span belongs to the floor at its height, or else to the floors before and after it.
 ///
 /// # Errors
 /// If no part of the trajectory stays on a floor for 25 m.
 pub fn detect_floors(trajectory: &[(Time, Rigid3)]) -> Result<Vec<Floor>, PointsError> {
     let spans = spans(trajectory);
     let levels = levels(&spans);
-    // By level; none for those of short spans only.
+    // Indexed by level; none for levels with short spans only.
     let mut floors: Vec<Option<Vec<usize>>> = vec![None; spans.len()];
     for (i, level) in levels.iter().enumerate() {
         if spans[i].is_long {
@@ -119,7 +119,7 @@ fn span(trajectory: &[(Time, Rigid3)], first: usize, end: usize) -> Span {
     Span { first, end, z: median(part.iter().map(height).collect()), is_long: way.sum::<f64>() >= SHORT }
 }
 
-/// For each span the number of the first span that is at its level, directly or over others.
+/// For each span the index of the first span at its level, directly or through a chain of others.
 fn levels(spans: &[Span]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..spans.len()).collect();
     order.sort_by(|a, b| spans[*a].z.total_cmp(&spans[*b].z));
@@ -135,7 +135,7 @@ fn levels(spans: &[Span]) -> Vec<usize> {
 mod tests {
     use super::*;
 
-    /// A way of `steps` metres at each height, one metre and one second apart.
+    /// A path of `steps` metres at each height, with poses one metre and one second apart.
     fn walk(parts: &[(f64, usize)]) -> Vec<(Time, Rigid3)> {
         let heights = parts.iter().flat_map(|(z, steps)| vec![*z; *steps]);
         let pose = |(i, z): (usize, f64)| {

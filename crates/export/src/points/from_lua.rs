@@ -1,4 +1,4 @@
-//! A pipeline as a configuration describes it (`tools.md` §3, `options.md`).
+//! Builds a pipeline from a configuration (`tools.md` §3, `options.md`).
 
 use portolan_config::Value;
 use portolan_config::lua::Dictionary;
@@ -16,15 +16,15 @@ use super::moving::RemoveMoving;
 use super::xray::{WriteXray, XrayOptions};
 use super::{Log, Pipeline, PipelineContext, PointsError, Stage};
 
-/// Rays per hit that a place may have, where nothing else is said.
+/// Default of the maximum number of rays per hit.
 const DEFAULT_MISS_PER_HIT_LIMIT: f64 = 3.0;
-/// A quaternion may be this far from length 1.
+/// Maximum deviation of the norm of a quaternion from 1.
 const QUATERNION_TOLERANCE: f64 = 1e-9;
 
 type Made = Result<Box<dyn Stage>, PointsError>;
 type Make = fn(&Dictionary, &PipelineContext, Log) -> Made;
 
-/// The stages by their names; true for those that write files.
+/// Stages by name; true for those that write files.
 const STAGES: [(&str, bool, Make); 15] = [
     ("color_points", false, color_points),
     ("dump_num_points", false, |_, _, _| Ok(Box::new(CountPoints::default()))),
@@ -49,12 +49,12 @@ const STAGES: [(&str, bool, Make); 15] = [
 ];
 const MOVING: &str = "voxel_filter_and_remove_moving_objects";
 
-/// Makes the stages of a table `pipeline`: an array of tables, each with `action` and the options of that
-/// stage. Files are begun at once.
+/// Builds the stages of a table `pipeline`: an array of tables, each with `action` and the options of that
+/// stage. Files are created at once.
 ///
 /// # Errors
-/// If an option is missing, unknown or wrong, a stage is not known, one that writes comes before one that needs
-/// all points several times, or a file cannot be begun.
+/// If an option is missing, unknown or wrong, a stage is unknown, a writing stage comes before one that needs
+/// all points several times, or a file cannot be created.
 pub fn pipeline_from_lua(
     stages: &Dictionary,
     context: &PipelineContext,
@@ -91,10 +91,10 @@ fn optional<T>(
     if d.has_key(key) { Ok(read(d, key)?) } else { Ok(default) }
 }
 
-/// A length that must be positive, metres.
+/// Reads a length that must be positive, metres.
 fn size(d: &Dictionary, key: &'static str, action: &'static str) -> Result<f64, PointsError> {
     let size = d.number(key)?;
-    // As it is used.
+    // Checked in single precision, in which it is used.
     if (size as f32).is_finite() && size as f32 > 0.0 {
         return Ok(size);
     }
@@ -221,7 +221,8 @@ fn xray(d: &Dictionary, context: &PipelineContext, _: Log) -> Made {
     Ok(Box::new(WriteXray::new(options)?))
 }
 
-/// How a view of the map sees points that are in another frame, but for where the view has its own origin: pictures do not show it.
+/// Transform from the frame of the points to a view of the map, up to the origin of the view, which pictures
+/// do not show.
 fn view_from_points(view_from_map: &Rigid3, frame: &NearFrame) -> Rigid3 {
     if frame.is_map() {
         return *view_from_map;
@@ -230,7 +231,8 @@ fn view_from_points(view_from_map: &Rigid3, frame: &NearFrame) -> Rigid3 {
     NearFrame::around([view_from_points.translation.vector]).near(&view_from_points)
 }
 
-/// A table with `translation` {x, y, z} and `rotation`: {roll, pitch, yaw}, or a quaternion with keys w, x, y, z.
+/// Reads a table with `translation` {x, y, z} and `rotation`: {roll, pitch, yaw}, or a quaternion with keys
+/// w, x, y, z.
 fn transform(d: &Dictionary, action: &'static str) -> Result<Rigid3, PointsError> {
     let translation = d.dictionary("translation")?.array_of_numbers()?;
     let [x, y, z] = translation.as_slice() else {

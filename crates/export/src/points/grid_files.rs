@@ -15,10 +15,10 @@ use super::trajectories::draw_trajectory;
 use super::{Flush, Log, PointsBatch, PointsError, Stage};
 use crate::png_file::write_rgb;
 
-/// Grey of what is not known.
+/// Grey value of unknown cells.
 const UNKNOWN: u8 = 128;
 
-/// What becomes of a grid in 2D.
+/// Output of a 2D grid.
 pub(super) enum GridOutput2d {
     /// A picture with trajectories.
     Png { path: PathBuf, trajectories: Vec<Vec<(Time, Rigid3)>> },
@@ -28,10 +28,10 @@ pub(super) enum GridOutput2d {
     RosMap { stem: PathBuf },
 }
 
-/// Draws points and rays into a grid in 2D.
+/// Inserts points and rays into a 2D grid.
 pub(super) struct WriteGrid2d {
     grid: ProbabilityGrid,
-    /// Of the frame of the grid in the map, metres.
+    /// Origin of the frame of the grid in the map, metres.
     origin: Vector2,
     inserter: ProbabilityInserter,
     output: GridOutput2d,
@@ -49,7 +49,7 @@ impl WriteGrid2d {
             GridOutput2d::Png { path, .. } | GridOutput2d::Proto { path } => path,
             GridOutput2d::RosMap { stem } => stem,
         };
-        // Only to see now, not after hours, whether files can be written.
+        // Checks before processing that files can be written.
         drop(AtomicFile::create(path)?);
         Ok(Self { grid: ProbabilityGrid::new(limits), origin: frame.origin().xy(), inserter, output })
     }
@@ -96,7 +96,7 @@ impl WriteGrid2d {
         Ok(write_rgb(path, size, &rgb)?)
     }
 
-    /// The image turned clockwise by a right angle, so that x points right and y up.
+    /// The image rotated clockwise by 90°, so that x points right and y up.
     fn ros_map(&self) -> PaintedMap {
         let GridImage { offset, size: [old_width, old_height], grey } = self.image();
         let (width, height) = (old_height, old_width);
@@ -122,7 +122,7 @@ struct GridImage {
     grey: Vec<u8>,
 }
 
-/// Free is white.
+/// Grey value of a probability; free is white.
 fn grey_of(probability: f32) -> u8 {
     (255.0 * ((1.0 - probability) - 0.1) / 0.8).round().clamp(0.0, 255.0) as u8
 }

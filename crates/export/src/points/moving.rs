@@ -1,4 +1,4 @@
-//! `voxel_filter_and_remove_moving_objects`: points in places that are more often seen through than hit.
+//! `voxel_filter_and_remove_moving_objects`: removes points in voxels with many rays passing through per point.
 
 use portolan_geometry::Point3f;
 use portolan_spatial::VoxelHash;
@@ -6,9 +6,9 @@ use portolan_spatial::VoxelHash;
 use super::batch::voxel_of;
 use super::{Flush, Log, PointsBatch, PointsError, Stage};
 
-/// Occupied voxels, of some 30 bytes each.
+/// Maximum number of occupied voxels, of some 30 bytes each.
 const MAX_VOXELS: usize = 1 << 26;
-/// Steps along a ray; more are taken for a point out of this world.
+/// Maximum number of steps along a ray; points with longer rays are ignored as invalid.
 const MAX_STEPS: f32 = 1e6;
 
 enum Pass {
@@ -23,8 +23,8 @@ struct Voxel {
     rays: u32,
 }
 
-/// Counts in a first pass the points in each voxel, in a second the rays through it, and lets in a third
-/// those points through whose voxel has fewer rays than `miss_per_hit_limit` times hits.
+/// Counts the points in each voxel in a first pass and the rays through it in a second one. In a third pass
+/// it keeps points in voxels with fewer rays than `miss_per_hit_limit` times hits.
 pub(super) struct RemoveMoving {
     miss_per_hit_limit: f64,
     voxel_size: f32,
@@ -33,7 +33,7 @@ pub(super) struct RemoveMoving {
 }
 
 impl RemoveMoving {
-    /// The edge of a voxel must be positive, metres.
+    /// `voxel_size` is the edge of a voxel, metres; it must be positive.
     pub fn new(voxel_size: f64, miss_per_hit_limit: f64) -> Self {
         let (voxels, pass) = (VoxelHash::default(), Pass::MarkingHits);
         Self { miss_per_hit_limit, voxel_size: voxel_size as f32, voxels, pass }
@@ -103,7 +103,7 @@ impl Stage for RemoveMoving {
     }
 
     fn end_pass(&mut self, _flush: Flush, _log: Log) -> Result<(), PointsError> {
-        // If a later stage of this kind wants all points once more, those that pass are the same again.
+        // If a later stage of this kind needs all points once more, the same points pass again.
         Ok(())
     }
 }

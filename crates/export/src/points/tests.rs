@@ -1,4 +1,4 @@
-//! The golden files of `vectors.md` §13, and pipelines that cannot be.
+//! Tests the golden files of `vectors.md` §13, and invalid pipelines.
 
 use std::path::Path;
 
@@ -33,7 +33,7 @@ fn pipeline(text: &str, context: &PipelineContext) -> Result<Pipeline, PointsErr
     pipeline_from_lua(&table_of(&evaluation.table, "pipeline").unwrap(), context, &mut |_| {})
 }
 
-/// Runs until no pass is wanted; how many passes, and the log.
+/// Runs until no further pass is needed; returns the number of passes and the log.
 fn run(mut pipeline: Pipeline, batches: &[PointsBatch]) -> (usize, Vec<String>) {
     let mut log = Vec::new();
     for pass in 1.. {
@@ -130,7 +130,7 @@ fn files_hold_places_in_the_map_and_pictures_are_the_same_far_from_the_origin() 
     assert!(a.iter().zip(&b).any(|(a, b)| (b - a - 5_400_576.0).abs() < 1e-3), "{a:?} {b:?}");
     let cloud = std::fs::read(far.path().join("points.ply")).unwrap();
     assert!(String::from_utf8_lossy(&cloud[..300]).contains("property double y"));
-    // A hybrid grid has no place of its own in its file.
+    // The file of a hybrid grid has no origin: frames far from that of the map are rejected.
     let refused = pipeline(GOLDEN, &PipelineContext { frame, ..context_in(far.path()) }).err().unwrap();
     assert!(refused.to_string().contains("8192 voxels"), "{refused}");
 }

@@ -1,4 +1,4 @@
-//! Trajectories over pictures of points (`formats.md` §6.4).
+//! Draws trajectories over pictures of points (`formats.md` §6.4).
 
 use tiny_skia::{FillRule, LineCap, LineJoin, PathBuilder, PixmapMut, Stroke, Transform};
 
@@ -11,7 +11,7 @@ const ALPHA: f32 = 0.7;
 const START: Rgb = [0.0, 1.0, 0.0];
 const END: Rgb = [1.0, 0.0, 0.0];
 
-/// Draws a trajectory through pixels, with its start green and its end red.
+/// Draws a trajectory through pixels, with a green start and a red end.
 pub(super) fn draw_trajectory(canvas: &mut PixmapMut, index: usize, pixels: &[[f32; 2]]) {
     let (Some(first), Some(last)) = (pixels.first(), pixels.last()) else { return };
     let mut builder = PathBuilder::new();

@@ -1,4 +1,4 @@
-//! `write_xray_image`: how much stands one behind the other along the x axis (`formats.md` §6.4).
+//! `write_xray_image`: the number of occupied voxels along the x axis (`formats.md` §6.4).
 
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
@@ -16,22 +16,22 @@ use crate::colour::{Rgb, mix, to_bytes};
 use crate::png_file::write_rgb;
 
 const ACTION: &str = "write_xray_image";
-/// Occupied voxels, of some 20 bytes each.
+/// Maximum number of occupied voxels, of some 20 bytes each.
 const MAX_VOXELS: usize = 1 << 26;
 const MAX_PIXELS: u64 = 1 << 27;
 
-/// What the options say.
+/// Options of the stage.
 pub(super) struct XrayOptions {
-    /// Without `.png`.
+    /// Path without `.png`.
     pub file: PathBuf,
-    /// Metres.
+    /// Edge of a voxel, metres.
     pub voxel_size: f32,
-    /// The picture looks along the x axis of this view.
+    /// Transform from the frame of the points to the view; the picture looks along the x axis of the view.
     pub view_from_points: Rigid3,
     pub saturation_factor: f32,
-    /// One picture each; empty for one picture of everything.
+    /// Floors with one picture each; empty for a single picture of everything.
     pub floors: Vec<Floor>,
-    /// To be drawn over it.
+    /// Trajectories to be drawn over the picture.
     pub trajectories: Vec<Vec<(Time, Rigid3)>>,
 }
 
@@ -44,14 +44,14 @@ pub(super) struct WriteXray {
     bounds: Option<[[i32; 2]; 2]>,
 }
 
-/// What is seen along each line of sight.
+/// Content along all lines of sight.
 #[derive(Default)]
 struct Columns {
     columns: HashMap<[i32; 2], Column>,
     voxels: HashSet<[i32; 3]>,
 }
 
-/// What is seen in a pixel.
+/// Content of a pixel.
 #[derive(Clone, Copy, Default)]
 struct Column {
     sum: Rgb,
@@ -64,7 +64,7 @@ impl WriteXray {
         let pictures = (0..options.floors.len().max(1)).map(|_| Columns::default()).collect();
         let xray =
             Self { view_from_points: to_f32(&options.view_from_points), options, pictures, bounds: None };
-        // Only to see now, not after hours, whether files can be written.
+        // Checks before processing that files can be written.
         drop(AtomicFile::create(xray.file(0))?);
         Ok(xray)
     }
@@ -143,10 +143,10 @@ impl Columns {
         column.voxels += u32::from(self.voxels.insert(voxel));
     }
 
-    /// Colours pixels of four bytes; `place` says which pixel a column is.
+    /// Colours pixels of four bytes; `place` gives the pixel of a column.
     fn draw(&self, saturation_factor: f32, pixels: &mut [u8], place: impl Fn([i32; 2]) -> usize) {
         let strength = |c: &Column| f64::from(c.voxels).ln() as f32;
-        // No order of the columns changes the maximum, or the pixel of another column.
+        // The order of the columns changes neither the maximum nor any pixel.
         let most = self.columns.values().map(strength).fold(f32::MIN_POSITIVE, f32::max);
         for (at, column) in &self.columns {
             let saturation = (strength(column) / most * saturation_factor).min(1.0);

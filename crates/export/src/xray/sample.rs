@@ -1,23 +1,23 @@
-//! What a sample of a cloud tells of all of it: how far it reaches, and which way its walls stand.
+//! Estimates the extent of a cloud and the direction of its walls from a sample of its points.
 
 use std::f64::consts::FRAC_PI_2;
 
-/// Points kept at most.
+/// Maximum number of points kept.
 const MOST: usize = 60_000;
-/// Points that count for the direction of walls.
+/// Maximum number of points used for the direction of walls.
 const MOST_FOR_WALLS: usize = 20_000;
-/// Width of the bins in which walls gather, metres: to find their direction, and to find it exactly.
+/// Widths of the bins in which points of walls are counted, metres: for the coarse and the fine search.
 const BIN: f64 = 0.1;
 const FINE_BIN: f64 = 0.03;
-/// Bins in each direction. Farther places fall into them once more, 123 m apart and more, where they hardly meet
-/// other walls.
+/// Number of bins in each direction. Positions beyond wrap around, 123 m apart and more, where they hardly
+/// coincide with other walls.
 const BINS: usize = 1 << 12;
-/// Points by the bins along a direction and across it.
+/// Numbers of points in the bins along a direction and across it.
 type Bins = [[u32; 2]; BINS];
-/// Walls stand out if the best direction gathers so much more than the middle one.
+/// Minimum ratio of the score of the best direction to the median score for walls to be found; dimensionless.
 const STANDS_OUT: f64 = 1.1;
 
-/// Every n-th point of a cloud, n as large as needed.
+/// Every n-th point of a cloud, with n chosen by the number of points.
 #[derive(Clone, Debug)]
 pub struct CloudSample {
     points: Vec<[f64; 3]>,
@@ -28,9 +28,9 @@ pub struct CloudSample {
 /// Smallest and largest value along an axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extent {
-    /// Metres.
+    /// Smallest value, metres.
     pub from: f64,
-    /// Metres.
+    /// Largest value, metres.
     pub to: f64,
 }
 
@@ -41,7 +41,7 @@ impl Default for CloudSample {
 }
 
 impl CloudSample {
-    /// Takes the next point.
+    /// Adds the next point.
     pub fn add(&mut self, position: [f64; 3]) {
         if self.seen.is_multiple_of(self.stride) {
             self.points.push(position);
@@ -57,8 +57,8 @@ impl CloudSample {
         self.seen += 1;
     }
 
-    /// How far the cloud reaches along what `measure` says, but for a fraction of `outliers` on either side; points
-    /// of which it says NaN do not count. None without points.
+    /// Extent of the cloud in the values of `measure`, without the fraction `outliers` of the points on
+    /// either side. Points with a NaN value are ignored. None without points.
     pub fn extent(&self, outliers: f64, measure: impl Fn([f64; 3]) -> f64) -> Option<Extent> {
         let mut values: Vec<f64> =
             self.points.iter().map(|p| measure(*p)).filter(|v| v.is_finite()).collect();
@@ -66,7 +66,7 @@ impl CloudSample {
         let last = values.len().checked_sub(1)?;
         let (_, from, above) = values.select_nth_unstable_by(outliers, f64::total_cmp);
         let from = *from;
-        // The first of those above is number `outliers` + 1 of all.
+        // The smallest of these values is number `outliers` + 1 of all.
         let to = match (last - outliers).checked_sub(outliers + 1) {
             Some(index) => *above.select_nth_unstable_by(index, f64::total_cmp).1,
             None => from,
@@ -74,8 +74,8 @@ impl CloudSample {
         Some(Extent { from, to })
     }
 
-    /// The direction in the map in which most walls run, from −π/4 to π/4, radians; none if there are no walls
-    /// at right angles.
+    /// The direction in the map in which most walls run, from −π/4 to π/4, radians; none if there are no
+    /// walls at right angles.
     pub fn wall_direction(&self) -> Option<f64> {
         let step = self.points.len().div_ceil(MOST_FOR_WALLS).max(1);
         let points: Vec<[f64; 2]> = self.points.iter().step_by(step).map(|p| [p[0], p[1]]).collect();
@@ -100,7 +100,7 @@ impl CloudSample {
     }
 }
 
-/// How much points gather in lines along a direction and across it.
+/// Concentration of points in lines along a direction and across it: the sum of squared counts.
 fn gathered(points: &[[f64; 2]], yaw: f64, bin: f64, bins: &mut Bins) -> f64 {
     let ((s, c), per_bin) = (yaw.sin_cos(), 1.0 / bin);
     bins.fill([0; 2]);
@@ -117,7 +117,7 @@ fn gathered(points: &[[f64; 2]], yaw: f64, bin: f64, bins: &mut Bins) -> f64 {
 mod tests {
     use super::*;
 
-    /// Walls of a room of 8 m by 5 m, turned, with its floor.
+    /// Walls of a room of 8 m by 5 m, rotated, with its floor.
     fn room(yaw: f64, walls: bool) -> CloudSample {
         let mut sample = CloudSample::default();
         let (s, c) = yaw.sin_cos();

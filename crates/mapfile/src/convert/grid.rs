@@ -1,4 +1,4 @@
-//! Submaps and their grids (`formats.md` §4.4, §4.5).
+//! Converts submaps and their grids (`formats.md` §4.4, §4.5).
 
 use portolan_geometry::Vector2;
 use portolan_grids::{CellBox, CellIndex, Grid2d, GridError, GridParts, GridRepairs, MapLimits, TsdfParts};
@@ -16,18 +16,18 @@ use portolan_pbstream::proto::mapping::grid2_d;
 use portolan_pbstream::proto::transform::Vector2d;
 use portolan_pbstream::{IdInFile, pose_to_proto};
 
-/// A space whose submaps files can hold.
+/// A space whose submaps can be stored in files.
 pub trait MapFileSpace: Space {
-    /// What reads and writes maps of this space.
+    /// The functions that read and write maps of this space.
     fn file_work() -> &'static FileWork<Self>;
 
-    /// Puts a submap into the message that has its id.
+    /// Adds the content of a submap to the message, which already has the id.
     fn submap_to_proto(submap: &Self::Submap, finished: bool, message: &mut m::Submap);
 
-    /// The submap in a message, and whether its insertion is finished. What is put right is counted.
+    /// The submap of a message, and whether its insertion is finished. Repairs are counted.
     ///
     /// # Errors
-    /// If there is no submap of this space, or its pose or grid cannot be.
+    /// If the message has no submap of this space, or if its pose or grid is not valid.
     fn submap_from_proto(
         message: m::Submap,
         id: IdInFile,
@@ -78,8 +78,8 @@ fn count_repairs(done: GridRepairs, issues: &mut IssueLog) {
     issues.count(IssueKind::CostBoundsReplaced, u64::from(done.cost_bounds_replaced));
 }
 
-/// A grid as a serialised `Grid2D`, the file that Cartographer's `write_probability_grid` writes.
-/// `origin` is that of the frame of the grid in the map, metres.
+/// A grid as a serialised `Grid2D`, as in the files of Cartographer's `write_probability_grid`. `origin` is
+/// the origin of the grid's frame in the map, metres.
 pub fn encode_grid_2d(grid: &Grid2d, origin: &Vector2) -> Vec<u8> {
     let mut message = grid_to_proto(grid);
     if let Some(max) = message.limits.as_mut().and_then(|limits| limits.max.as_mut()) {
@@ -123,7 +123,7 @@ pub(super) fn grid_to_proto(grid: &Grid2d) -> m::Grid2D {
     }
 }
 
-/// A grid from its message, and what had to be put right.
+/// A grid from its message, and the repairs made.
 pub(super) fn grid_from_proto(
     grid: m::Grid2D,
     submap: IdInFile,
@@ -156,7 +156,7 @@ pub(super) fn grid_from_proto(
 fn limits_from_proto(limits: &m::MapLimits) -> Result<MapLimits, GridError> {
     let max = limits.max.unwrap_or_default();
     let size = limits.cell_limits.unwrap_or_default();
-    // Negative sizes become 0, which is refused.
+    // Negative sizes become 0, which is rejected.
     let count = |v: i32| u32::try_from(v).unwrap_or(0);
     MapLimits::new(
         limits.resolution,

@@ -1,4 +1,4 @@
-//! Submaps in 3D and their grids (`formats.md` §4.6).
+//! Converts 3D submaps and their grids (`formats.md` §4.6).
 
 use portolan_grids::{HybridGrid, HybridGridParts, HybridGridRepairs};
 use portolan_issue::{IssueKind, IssueLog};
@@ -66,7 +66,7 @@ impl MapFileSpace for Space3d {
     }
 }
 
-/// A grid as a serialised `HybridGrid`, the file that Cartographer's `write_hybrid_grid` writes.
+/// A grid as a serialised `HybridGrid`, as in the files of Cartographer's `write_hybrid_grid`.
 pub fn encode_hybrid_grid(grid: &HybridGrid) -> Vec<u8> {
     hybrid_grid_to_proto(grid).encode_to_vec()
 }
@@ -77,7 +77,7 @@ pub(super) fn hybrid_grid_to_proto(grid: &HybridGrid) -> m::HybridGrid {
     m::HybridGrid { resolution, x_indices, y_indices, z_indices, values }
 }
 
-/// A hybrid grid from its message. What is put right is counted.
+/// A hybrid grid from its message. Repairs are counted.
 fn hybrid_grid_from_proto(
     grid: m::HybridGrid,
     submap: IdInFile,

@@ -1,6 +1,6 @@
-//! Between map files and maps in memory (`formats.md` §2.1, §2.2, §4).
+//! Converts between map files and maps in memory (`formats.md` §2.1, §2.2, §4).
 //!
-//! One writer and one reader for 2D and 3D ([`MapFileSpace`]); what differs is the content of a submap.
+//! 2D and 3D share one writer and one reader ([`MapFileSpace`]); only the content of submaps differs.
 
 mod error;
 mod grid;

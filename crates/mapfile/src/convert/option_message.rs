@@ -1,12 +1,12 @@
-//! How tables of options become messages and come back: field by field.
+//! Converts tables of options to messages and back, field by field.
 
 /// A value of an option that has a counterpart `M` in messages.
 pub(super) trait OptionMessage<M>: Sized {
-    /// As it stands in a message.
+    /// The value for a message.
     fn to_message(&self) -> M;
 
-    /// From a message. `fallback` counts where a message within the message is absent, as in files that
-    /// are older than the option; absent numbers are zero and stay so.
+    /// The value from a message. `fallback` replaces absent nested messages, as in files older than the
+    /// option. Absent numbers are zero and stay zero.
     fn of_message(message: &M, fallback: &Self) -> Self;
 }
 
@@ -34,7 +34,7 @@ impl OptionMessage<i32> for usize {
     }
 }
 
-/// Numbers of points are floating-point numbers in messages.
+/// Numbers of points are stored as floating-point numbers in messages.
 impl OptionMessage<f32> for usize {
     fn to_message(&self) -> f32 {
         *self as f32
@@ -44,7 +44,7 @@ impl OptionMessage<f32> for usize {
     }
 }
 
-/// Relates a table of options to its message: fields of the same name, then those named differently
+/// Maps a table of options to its message: fields of the same name, then those with another name
 /// (`ours => theirs`), then fields of the message that have no counterpart and stay empty.
 macro_rules! option_message {
     (
@@ -70,7 +70,7 @@ macro_rules! option_message {
     };
 }
 
-/// A table that is a message within a message, or may be absent from it.
+/// Conversion of a table that is a nested message, or an optional one.
 macro_rules! nested_message {
     ($options:path => $message:path) => {
         impl OptionMessage<Option<$message>> for $options {

@@ -1,4 +1,4 @@
-//! The tables of options and their messages (`formats.md` §3a).
+//! Tables of options and their messages (`formats.md` §3a).
 
 use portolan_config as c;
 
@@ -121,7 +121,7 @@ option_message!(
         pose_extrapolator => pose_extrapolator_options,
         submaps => submaps_options
     },
-    // Measurements to start with, which callers give and files do not configure.
+    // Initial measurements, which callers give and files do not configure.
     empty { initial_poses, initial_imu_data }
 );
 

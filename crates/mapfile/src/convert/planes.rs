@@ -1,5 +1,6 @@
-//! The planes of 3D submaps, in a field of their own that Cartographer skips: a point to a thousandth of a voxel, a normal to a fraction
-//! of a milliradian. What was read is written as the same numbers.
+//! Converts the planes of 3D submaps. They have a field of their own, which Cartographer skips. Points have a
+//! resolution of a thousandth of a voxel, normals of a fraction of a milliradian. Planes that were read are
+//! written with the same numbers.
 
 use nalgebra::Vector3;
 use portolan_lidar_odometry::{PlaneMap, PlaneRecord, Unreliable};
@@ -7,7 +8,7 @@ use portolan_pbstream::proto::mapping as m;
 
 const POINTS_PER_EDGE: f64 = 1024.0;
 const NORMAL_STEPS: f64 = 4095.0;
-/// Metres, and radians.
+/// Resolution of standard deviations: metres for points, radians for normals.
 const SIGMA: f64 = 1e-4;
 const ONE_SIDED: u32 = 1;
 const GRAZING_INCIDENCE: u32 = 2;
@@ -52,8 +53,8 @@ fn flags(plane: &PlaneRecord) -> u32 {
     unreliable | if plane.is_one_sided { ONE_SIDED } else { 0 }
 }
 
-/// A direction where it meets the octahedron |x| + |y| + |z| = 1, of which the lower half is unfolded around the upper one (Meyer et
-/// al. 2010, section 3).
+/// Octahedral encoding of a direction: its intersection with |x| + |y| + |z| = 1, of which the lower half is
+/// unfolded around the upper one (Meyer et al. 2010, section 3).
 fn on_octahedron(normal: &Vector3<f64>) -> [i32; 2] {
     let n = normal / normal.lp_norm(1);
     let (u, v) = if n.z < 0.0 { unfolded(n.x, n.y) } else { (n.x, n.y) };

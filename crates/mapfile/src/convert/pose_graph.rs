@@ -1,4 +1,4 @@
-//! The pose graph as the second message of a file (`formats.md` §2.1).
+//! Writes the pose graph as the second message of a file (`formats.md` §2.1).
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -15,18 +15,18 @@ use portolan_pbstream::proto::mapping as m;
 use portolan_pbstream::proto::mapping::pose_graph::constraint::Tag;
 use portolan_pbstream::proto::mapping::{pose_graph, trajectory};
 
-/// What of a pose graph goes into a file.
+/// Parts of a pose graph that are written to a file.
 pub(super) struct Selection {
-    /// Trajectories in the order of the file: as submaps, then nodes, first refer to them; at the end
-    /// those that have neither.
+    /// Trajectories in the order of the file: by their first submap, then by their first node; then those
+    /// that have neither.
     pub trajectories: Vec<TrajectoryId>,
     /// Submaps that are written.
     pub submaps: BTreeSet<SubmapId>,
 }
 
 impl Selection {
-    /// Chooses: all trajectories that are not deleted, and the submaps that have a grid and, unless
-    /// `include_unfinished`, are finished.
+    /// Selects all trajectories that are not deleted, and the submaps that have a grid and are finished (or
+    /// all with a grid with `include_unfinished`).
     pub fn new<S: MapFileSpace>(state: &GraphState<S>, include_unfinished: bool) -> Self {
         let mut seen = BTreeSet::new();
         let living = state.trajectories.iter().filter(|(_, t)| t.state != TrajectoryState::Deleted);
@@ -43,7 +43,7 @@ impl Selection {
     }
 }
 
-/// The message. What is left out is counted.
+/// The message. Omitted parts are counted.
 pub(super) fn pose_graph_to_proto<S: MapFileSpace>(
     graph: &PoseGraph<S>,
     selection: &Selection,
@@ -122,14 +122,14 @@ fn tag_to_proto(constraint: &Constraint) -> Tag {
     }
 }
 
-/// In files 2D constraints are to the tracking frame too. What is turned is rounded to 1e-12, so that
-/// turning it back and forth in reading and writing always gives the same bytes.
+/// Constraints in files refer to the tracking frame, in 2D too. A rotated pose is rounded to 1e-12, so that
+/// repeated reading and writing always gives the same bytes.
 fn pose_for_file<S: MapFileSpace>(submap_from_node: &Rigid3, gravity_alignment: &Quaternion) -> Rigid3 {
     let turned = S::tracking_pose(submap_from_node, gravity_alignment);
     if turned == *submap_from_node {
         return *submap_from_node;
     }
-    // A zero that is computed has no sign.
+    // Adding 0.0 turns a computed −0.0 into 0.0.
     let rounded = |v: f64| (v * ROUNDING).round() / ROUNDING + 0.0;
     Rigid3::from_parts(
         turned.translation.vector.map(rounded).into(),
@@ -137,7 +137,7 @@ fn pose_for_file<S: MapFileSpace>(submap_from_node: &Rigid3, gravity_alignment: 
     )
 }
 
-/// 2⁴⁰: about 1e-12 m or rad.
+/// Inverse of the rounding step, 2⁴⁰: about 1e-12 m or rad.
 const ROUNDING: f64 = 1_099_511_627_776.0;
 
 /// The inverse of [`pose_for_file`].

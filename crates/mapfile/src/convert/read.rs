@@ -1,4 +1,4 @@
-//! Reading a map into a pose graph (`formats.md` §2.2).
+//! Reads a map into a pose graph (`formats.md` §2.2).
 
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
@@ -26,32 +26,32 @@ use portolan_pbstream::proto::mapping::pose_graph::constraint::Tag;
 use portolan_pbstream::proto::mapping::serialized_data::Data;
 use portolan_pbstream::{IdInFile, node_id, submap_id};
 
-/// How to read a map.
+/// Settings of reading a map.
 #[derive(Clone, Debug, Default)]
 pub struct MapLoadSettings {
-    /// Options of the pose graph that the map goes into; files do not have them.
+    /// Options of the pose graph for the map; files do not have them.
     pub pose_graph: PoseGraphOptions,
-    /// Which trajectories become a fixed part of the map.
+    /// Trajectories that become a fixed part of the map.
     pub frozen: FrozenTrajectories,
-    /// Bounds on memory.
+    /// Memory limits.
     pub limits: ReadLimits,
 }
 
-/// Trajectories of a file that become a fixed part of the map. Their measurements and the constraints between
-/// them are kept for saving, but move nothing.
+/// Frozen trajectories of a file: a fixed part of the map. Their measurements and the constraints between
+/// them are kept for saving, but do not affect the optimisation.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum FrozenTrajectories {
-    /// All may move.
+    /// None: all trajectories are optimised.
     #[default]
     None,
-    /// Those with these numbers in the file.
+    /// The trajectories with these numbers in the file.
     Only(BTreeSet<i32>),
     /// The whole map.
     All,
 }
 
 impl FrozenTrajectories {
-    /// Whether the trajectory with this number in the file is one of them.
+    /// Whether the trajectory with this number in the file is frozen.
     pub fn contains(&self, trajectory_id: i32) -> bool {
         match self {
             Self::None => false,
@@ -61,42 +61,42 @@ impl FrozenTrajectories {
     }
 }
 
-/// A map as a file holds it.
+/// A map read from a file.
 pub struct LoadedMap<S: MapFileSpace> {
     /// Nodes, submaps, constraints, measurements.
     pub graph: PoseGraph<S>,
     /// Options and sensors of each trajectory; its nodes as scans.
     pub trajectories: BTreeMap<TrajectoryId, EndedTrajectory>,
-    /// What became of the trajectories: number in the file, number in the graph.
+    /// From numbers of trajectories in the file to those in the graph.
     pub trajectory_ids: BTreeMap<i32, TrajectoryId>,
-    /// Version of the file's format.
+    /// Format version of the file.
     pub format_version: u32,
-    /// What was put right or left out.
+    /// What was repaired or left out.
     pub issues: IssueLog,
 }
 
 impl<S: MapFileSpace> LoadedMap<S> {
-    /// As a finished map; `options` count for what is added later.
+    /// Converts to a finished map; `options` apply to later additions.
     pub fn into_map(self, options: Options) -> Map<S> {
         Map::new(options, self.graph, self.trajectories)
     }
 }
 
-/// What [`load_map`] adds to a graph, apart from what lies in the graph.
+/// Content that [`load_map`] reads in addition to that of the graph.
 #[derive(Clone, Debug, Default)]
 pub struct LoadedTrajectories {
     /// Options and sensors of each trajectory; its nodes as scans.
     pub trajectories: BTreeMap<TrajectoryId, EndedTrajectory>,
-    /// What became of the trajectories: number in the file, number in the graph.
+    /// From numbers of trajectories in the file to those in the graph.
     pub trajectory_ids: BTreeMap<i32, TrajectoryId>,
-    /// What was put right or left out.
+    /// What was repaired or left out.
     pub issues: IssueLog,
 }
 
 /// Reads a 2D map; see [`read_map`].
 ///
 /// # Errors
-/// As [`read_map`].
+/// As for [`read_map`].
 pub fn read_map_2d(
     path: impl AsRef<Path>,
     settings: &MapLoadSettings,
@@ -107,8 +107,8 @@ pub fn read_map_2d(
 /// Reads a map, format version 1 or 2.
 ///
 /// # Errors
-/// If the file is damaged or no pbstream; a map of the other dimension; trajectories twice; grids, poses or
-/// clouds that cannot be. Parts that do not belong together are left out and counted instead.
+/// If the file is damaged or not a pbstream, the map is of the other dimension, a trajectory occurs twice, or
+/// grids, poses or clouds are not valid. Inconsistent parts are no errors: they are left out and counted.
 pub fn read_map<S: MapFileSpace>(
     path: impl AsRef<Path>,
     settings: &MapLoadSettings,
@@ -125,11 +125,10 @@ pub fn read_map<S: MapFileSpace>(
     })
 }
 
-/// Adds the map of a freshly opened reader to a graph, with trajectory numbers after those that the graph
-/// has.
+/// Adds the map of a newly opened reader to a graph. Its trajectories are numbered after those of the graph.
 ///
 /// # Errors
-/// As [`read_map`]; the graph may have a part of the map then and should be dropped.
+/// As for [`read_map`]. The graph may then have a part of the map and should be dropped.
 pub fn load_map<S: MapFileSpace>(
     reader: &mut MapReader,
     graph: &mut PoseGraph<S>,
@@ -166,11 +165,11 @@ pub(super) fn load_map_here<S: MapFileSpace>(
     Ok(loading.finish())
 }
 
-/// A map on its way from a file into a graph.
+/// State while reading a map from a file into a graph.
 struct Loading<'a, S: MapFileSpace> {
     graph: &'a mut PoseGraph<S>,
     frozen: &'a FrozenTrajectories,
-    /// Global poses by the ids of the file; they leave as their submaps and nodes come.
+    /// Global poses by the ids of the file; removed when their submaps and nodes are read.
     submap_poses: BTreeMap<IdInFile, Rigid3>,
     node_poses: BTreeMap<IdInFile, Rigid3>,
     result: LoadedTrajectories,
@@ -194,7 +193,7 @@ impl<'a, S: MapFileSpace> Loading<'a, S> {
         self.result.issues.count(kind, count);
     }
 
-    /// Gives the trajectories new numbers and makes them known.
+    /// Assigns new numbers to the trajectories and adds them to the graph.
     fn trajectories(&mut self, reader: &MapReader) -> Result<(), MapConversionError> {
         let first = self.graph.state().trajectories.keys().last().map_or(0, |id| id.0.saturating_add(1));
         let options = &reader.options().options_with_sensor_ids;
@@ -216,7 +215,7 @@ impl<'a, S: MapFileSpace> Loading<'a, S> {
         {
             return Err(MapConversionError::NoSuchTrajectory(*id));
         }
-        // Only now all of them are known, so that they can refer to each other.
+        // All trajectories are known only now, so that starts can refer to each other.
         for (trajectory, options) in reader.pose_graph().trajectory.iter().zip(options) {
             let Some(id) = self.result.trajectory_ids.get(&trajectory.trajectory_id).copied() else {
                 continue;
@@ -289,7 +288,7 @@ impl<'a, S: MapFileSpace> Loading<'a, S> {
         }
     }
 
-    /// After all nodes, because in 2D their rotation is needed.
+    /// Called after all nodes have been read, because in 2D their gravity alignment is needed.
     fn constraints(&mut self, constraints: &[m::pose_graph::Constraint]) -> Result<(), MapConversionError> {
         for constraint in constraints {
             let weights = [constraint.translation_weight, constraint.rotation_weight];
@@ -339,7 +338,7 @@ impl<'a, S: MapFileSpace> Loading<'a, S> {
         Ok(self.graph.load_constraint(constraint))
     }
 
-    /// Landmarks that have a pose keep it.
+    /// Landmarks with a pose keep it.
     fn landmark_poses(&mut self, landmarks: &[m::pose_graph::LandmarkPose]) {
         for landmark in landmarks {
             match pose_in_file(landmark.global_pose.as_ref()) {
@@ -367,7 +366,7 @@ impl<'a, S: MapFileSpace> Loading<'a, S> {
 
 type Poses = BTreeMap<IdInFile, Rigid3>;
 
-/// The global poses of submaps and of nodes, and how many are there twice (the first ones count).
+/// The global poses of submaps and of nodes, and the number of duplicates (the first pose is used).
 fn global_poses(graph: &m::PoseGraph) -> Result<(Poses, Poses, u64), MapConversionError> {
     let mut submaps = Poses::new();
     let mut nodes = Poses::new();
@@ -398,7 +397,7 @@ fn global_poses(graph: &m::PoseGraph) -> Result<(Poses, Poses, u64), MapConversi
     Ok((submaps, nodes, duplicates))
 }
 
-/// What does not change of a node.
+/// Constant data of a node.
 pub(crate) fn node_data(message: m::Node, node: IdInFile) -> Result<NodeData, MapConversionError> {
     let what = "node";
     let data = message.node_data.ok_or(MapConversionError::Content { what, id: node })?;

@@ -1,4 +1,4 @@
-//! Measurements, as files hold them one by one (`formats.md` §2, order of messages ≥ 3).
+//! Converts measurements, which files hold one by one (`formats.md` §2, order of messages ≥ 3).
 
 use std::collections::BTreeMap;
 
@@ -21,8 +21,8 @@ use portolan_pbstream::proto::transform::{Quaterniond, Vector3d};
 
 type Write<'a> = &'a mut dyn FnMut(Data) -> Result<(), PbstreamError>;
 
-/// Writes trajectory data, IMU, odometry, fixed-frame and landmark data of these trajectories. With each comes where on the
-/// Earth its fixed frame begins.
+/// Writes trajectory data, IMU, odometry, fixed-frame and landmark data of these trajectories. Each
+/// trajectory has the origin of its fixed frame on the Earth, if known.
 pub(super) fn write_sensors<S: Space>(
     graph: &PoseGraph<S>,
     trajectories: &[(TrajectoryId, Option<GeodeticPosition>)],
@@ -80,7 +80,7 @@ fn write_streams<S: Space>(
     Ok(())
 }
 
-/// What was measured, and in 3D what is derived where nothing was.
+/// Writes measured IMU samples and, in 3D, derived ones in gaps.
 fn write_imu<S: Space>(
     graph: &PoseGraph<S>,
     id: TrajectoryId,
@@ -100,8 +100,8 @@ fn write_imu<S: Space>(
     derived.rest().into_iter().try_for_each(|d| write(Data::ImuData(d)))
 }
 
-/// One message for each observation. Those by deleted trajectories could not be read again and are left
-/// out.
+/// Writes one message for each observation. Observations by deleted trajectories could not be read again and
+/// are left out.
 fn write_landmarks<S: Space>(
     graph: &PoseGraph<S>,
     ids: &[(TrajectoryId, i32)],
@@ -132,7 +132,7 @@ fn write_landmarks<S: Space>(
     Ok(())
 }
 
-/// Gravity and calibration of an IMU, if they can be. A file without gravity means the default.
+/// Gravity and calibration of an IMU; none if they are not valid. A file without gravity has the default.
 pub(crate) fn imu_state_from_proto(data: &m::TrajectoryData) -> Option<ImuState> {
     let default = ImuState::default();
     let gravity_constant =
@@ -148,7 +148,7 @@ pub(crate) fn imu_state_from_proto(data: &m::TrajectoryData) -> Option<ImuState>
     is_possible.then_some(ImuState { gravity_constant, calibration })
 }
 
-/// Takes a measurement of a file into the graph. What cannot be used is counted by its reason.
+/// Adds a measurement of a file to the graph. Measurements that cannot be used are counted by reason.
 pub(super) fn load_sensor_data<S: Space>(
     data: Data,
     trajectory_ids: &BTreeMap<i32, TrajectoryId>,
@@ -210,7 +210,7 @@ fn add_measurement<S: Space>(
     Ok(())
 }
 
-/// Of several measurements with the same stamp the first one counts.
+/// Of several measurements with the same time stamp the first is used.
 fn is_new(new: bool) -> Result<(), IssueKind> {
     if new { Ok(()) } else { Err(IssueKind::MeasurementRepeated) }
 }
@@ -220,7 +220,7 @@ fn observation_from_proto(seen: landmark_data::LandmarkObservation) -> Option<La
         return None;
     }
     Some(LandmarkObservation {
-        // Names may be any bytes; those that are no text stay distinct.
+        // Names may be any bytes; those that are not UTF-8 stay distinct.
         id: String::from_utf8(seen.id).unwrap_or_else(|e| e.as_bytes().escape_ascii().to_string()),
         tracking_from_landmark: pose_in_file(seen.landmark_to_tracking_transform.as_ref())?,
         translation_weight: seen.translation_weight,
@@ -237,7 +237,7 @@ fn imu_to_proto(data: &ImuData) -> sensor::ImuData {
     }
 }
 
-/// A sample of an IMU; none where it is not finite.
+/// A sample of an IMU; none if it is not finite.
 pub(crate) fn imu_from_proto(data: &sensor::ImuData) -> Option<ImuData> {
     let vector = |v: Option<Vector3d>| {
         let v = v.unwrap_or_default();

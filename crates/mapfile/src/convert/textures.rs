@@ -1,4 +1,4 @@
-//! Pictures of submaps that are in memory.
+//! Renders the textures of submaps in memory.
 
 use std::sync::Arc;
 
@@ -13,23 +13,23 @@ use crate::paint::PlacedTexture;
 use crate::texture::SubmapTexture;
 use crate::texture_3d::xray_texture;
 
-/// The textures of all submaps that have a grid, ascending by id: what [`crate::paint`] takes, without
-/// the way through a file.
+/// The textures of all submaps that have a grid, ascending by id: input of [`crate::paint`] without writing a
+/// file.
 pub fn submap_textures_2d(map: &Map<Space2d>) -> Vec<PlacedTexture> {
     placed_textures(map, |submap, _| {
         Some(texture_in_memory(&Texture::of_grid(&submap.grid, &submap.local_from_submap)))
     })
 }
 
-/// The same in 3D: X-rays of the fine grids, as [`load_textures`](crate::load_textures) makes them of the file that
-/// is written of the map. Submaps that cannot be shown are left out.
+/// The same in 3D: X-rays of the fine grids, as [`load_textures`](crate::load_textures) would make them from
+/// a file of the map. Submaps that cannot be rendered are left out.
 pub fn submap_textures_3d(map: &Map<Space3d>) -> Vec<PlacedTexture> {
     placed_textures(map, |submap, map_from_submap| {
         xray_texture(&hybrid_grid_to_proto(&submap.high_resolution_grid), map_from_submap).ok()
     })
 }
 
-/// Draws every submap that is in memory, given with its pose in the map.
+/// Renders every submap in memory; `draw` gets the submap and its pose in the map.
 fn placed_textures<S: Space>(
     map: &Map<S>,
     draw: impl Fn(&S::Submap, &Rigid3) -> Option<SubmapTexture> + Sync,

@@ -1,4 +1,4 @@
-//! Options and sensors of a trajectory as the third message of a file holds them.
+//! Converts options and sensors of a trajectory to and from the third message of a file.
 
 use std::collections::BTreeSet;
 
@@ -17,16 +17,16 @@ use portolan_pbstream::proto::mapping::{
     self, TrajectoryBuilderOptions as BuilderMessage, TrajectoryBuilderOptionsWithSensorIds as WithSensors,
 };
 
-/// How many submaps the deprecated `pure_localization = true` keeps.
+/// Number of submaps that the deprecated `pure_localization = true` keeps.
 const PURE_LOCALIZATION_SUBMAPS: usize = 3;
 
-/// The options of a trajectory as a message, all of them, 2D and 3D.
+/// All options of a trajectory, 2D and 3D, as a message.
 pub fn builder_options_to_proto(options: &TrajectoryBuilderOptions) -> BuilderMessage {
     options.to_message()
 }
 
-/// The options in a message. Tables that are absent, as in older files, have their defaults; numbers that
-/// are absent are zero. The deprecated `pure_localization` becomes a trimmer that keeps 3 submaps.
+/// The options of a message. Absent tables, as in older files, have their defaults; absent numbers are zero.
+/// The deprecated `pure_localization` becomes a trimmer that keeps 3 submaps.
 #[allow(deprecated)]
 pub fn builder_options_from_proto(message: &BuilderMessage) -> TrajectoryBuilderOptions {
     let mut options = TrajectoryBuilderOptions::of_message(message, &TrajectoryBuilderOptions::default());
@@ -62,7 +62,7 @@ pub fn trajectory_options_to_proto(
     Ok(WithSensors { sensor_id, trajectory_builder_options: Some(message) })
 }
 
-/// Options and sensors in a message. Sensors of kinds that are not known here are left out and counted.
+/// Options and sensors of a message. Sensors of unknown kinds are left out and counted.
 pub fn trajectory_options_from_proto(
     message: &WithSensors,
     issues: &mut IssueLog,
@@ -80,7 +80,8 @@ pub fn trajectory_options_from_proto(
     (builder_options_from_proto(message.trajectory_builder_options.as_ref().unwrap_or(&default)), sensors)
 }
 
-/// Where a trajectory starts, if its options say so: relative to which trajectory of the file, and how.
+/// Start of a trajectory, if its options have one: number of the trajectory in the file that it is relative
+/// to, relative pose, and time.
 pub(super) fn initial_pose_from_proto(
     message: &WithSensors,
 ) -> Option<(i32, Option<portolan_geometry::Rigid3>, Time)> {
@@ -99,7 +100,7 @@ fn sensor_type(kind: SensorKind) -> SensorType {
     }
 }
 
-/// Results of another program's local SLAM are no measurements.
+/// Results of another program's local SLAM are not measurements: they have no sensor kind here.
 fn sensor_kind(kind: SensorType) -> Option<SensorKind> {
     Some(match kind {
         SensorType::Range => SensorKind::Range,

@@ -1,4 +1,4 @@
-//! Ids, poses and point clouds, as they stand in files and in memory.
+//! Converts ids, poses and point clouds between files and memory.
 
 use nalgebra as na;
 use portolan_geometry::{GeodeticPosition, Quaternion, Rigid3, is_valid_pose};
@@ -11,8 +11,8 @@ use portolan_pbstream::proto::mapping as m;
 use portolan_pbstream::proto::sensor::CompressedPointCloud as CloudMessage;
 use portolan_pbstream::proto::transform::{Quaterniond, Rigid3d};
 
-/// Quaternions whose norm is that near to one are taken as they are, so that a map that is read and
-/// written again keeps its bytes.
+/// Deviation of the norm of a quaternion from one up to which it is not normalised, so that a map that is
+/// read and written again keeps its bytes.
 const EXACT_NORM: f64 = 1e-9;
 
 /// A number of a trajectory, node or submap in a message.
@@ -30,13 +30,13 @@ pub(super) fn node_id_to_proto(id: NodeId) -> Result<m::NodeId, MapConversionErr
     Ok(m::NodeId { trajectory_id: id_to_proto(id.trajectory_id.0)?, node_index: id_to_proto(id.index)? })
 }
 
-/// A place on the Earth as a message.
+/// A geodetic position as a message.
 pub(super) fn place_to_proto(place: &GeodeticPosition) -> m::GeodeticPosition {
     let GeodeticPosition { latitude_degrees, longitude_degrees, altitude } = *place;
     m::GeodeticPosition { latitude_degrees, longitude_degrees, altitude }
 }
 
-/// A place on the Earth from its message; none where it is missing, or is none.
+/// A geodetic position from its message; none if it is missing or not valid.
 pub(super) fn place_in_file(place: Option<&m::GeodeticPosition>) -> Option<GeodeticPosition> {
     let m::GeodeticPosition { latitude_degrees, longitude_degrees, altitude } = *place?;
     let place = GeodeticPosition { latitude_degrees, longitude_degrees, altitude };
@@ -49,14 +49,14 @@ pub(super) fn id_for_errors(trajectory_id: TrajectoryId, index: u32) -> IdInFile
     (number(trajectory_id.0), number(index))
 }
 
-/// A rotation from its message; none where it is missing, not finite or no rotation.
+/// A rotation from its message; none if it is missing, not finite or not a rotation.
 pub(super) fn rotation_in_file(rotation: Option<&Quaterniond>) -> Option<Quaternion> {
     let pose = Rigid3d { translation: None, rotation: rotation.copied() };
     pose_in_file(Some(&pose)).map(|p| p.rotation)
 }
 
-/// A pose from its message. Like [`portolan_pbstream::pose_from_proto`], but a quaternion that is good to nine digits
-/// is not touched.
+/// A pose from its message. Like [`portolan_pbstream::pose_from_proto`], but a quaternion whose norm is one
+/// to nine digits is not changed.
 pub(super) fn pose_in_file(pose: Option<&Rigid3d>) -> Option<Rigid3> {
     let pose = pose?;
     let t = pose.translation.unwrap_or_default();
@@ -81,15 +81,14 @@ pub(super) fn rotation_to_proto(rotation: &Quaternion) -> Quaterniond {
     Quaterniond { x: q.i, y: q.j, z: q.k, w: q.w }
 }
 
-/// A cloud as nodes store it, and how many points are left out because they are not finite or beyond
-/// 8388 m.
+/// A cloud as stored in nodes, and the number of points left out because they are not finite or beyond 8388 m.
 pub(super) fn cloud_to_proto(cloud: &PointCloud) -> Result<(CloudMessage, usize), CompressedPointCloudError> {
     let (compressed, left_out) = CompressedPointCloud::compress_within_bounds(&cloud.points)?;
     let CompressedPointCloud { num_points, point_data } = compressed;
     Ok((CloudMessage { num_points, point_data }, left_out))
 }
 
-/// A cloud from its message; an absent one is empty.
+/// A cloud from its message; empty if there is none.
 pub(super) fn cloud_from_proto(cloud: Option<CloudMessage>) -> Result<PointCloud, CompressedPointCloudError> {
     let CloudMessage { num_points, point_data } = cloud.unwrap_or_default();
     let points = CompressedPointCloud { num_points, point_data }.decompress()?;

@@ -1,4 +1,4 @@
-//! What reads and writes maps, compiled in this crate once for each space.
+//! Functions that read and write maps, compiled in this crate once for each space.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -13,8 +13,8 @@ use super::write::{WriteReport, check_graph_here, write_graph_here};
 use crate::MapConversionError;
 
 /// The functions behind [`load_map`](crate::load_map), [`write_graph`](crate::write_graph) and
-/// [`check_graph`](crate::check_graph). A generic function is compiled again by every crate and program that calls it;
-/// [`MapFileSpace::file_work`] gives them as they were compiled here.
+/// [`check_graph`](crate::check_graph). Every crate and program that calls a generic function compiles it
+/// again; [`MapFileSpace::file_work`] returns the instances compiled in this crate.
 #[allow(clippy::type_complexity)]
 pub struct FileWork<S: MapFileSpace> {
     pub(super) load: fn(
@@ -33,7 +33,7 @@ pub struct FileWork<S: MapFileSpace> {
 }
 
 impl<S: MapFileSpace> FileWork<S> {
-    /// For a static item of the space.
+    /// To be used for a static item of the space.
     pub(super) const fn compiled() -> Self {
         Self { load: load_map_here, write: write_graph_here, check: check_graph_here }
     }

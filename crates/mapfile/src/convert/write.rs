@@ -1,4 +1,4 @@
-//! Writing a map as a file that other programs of this format load (`formats.md` §2).
+//! Writes a map as a file that other programs of this format load (`formats.md` §2).
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -20,20 +20,20 @@ use portolan_pbstream::proto::mapping as m;
 use portolan_pbstream::proto::mapping::serialized_data::Data;
 use portolan_pbstream::{FORMAT_VERSION, Finding, PbstreamWriter, validate_pose_graph};
 
-/// Submaps and nodes that are turned into messages together, on all cores.
+/// Numbers of submaps and of nodes that are converted to messages together, on all cores.
 const SUBMAP_BATCH: usize = 8;
 const NODE_BATCH: usize = 256;
 
-/// What was written, and what was not.
+/// Report of a written map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct WriteReport {
-    /// Messages, with the header.
+    /// Number of messages, including the header.
     pub messages: u64,
-    /// Submaps without a grid, or unfinished ones that were not wanted.
+    /// Submaps without a grid, and unfinished ones that were not requested.
     pub submaps_left_out: u64,
-    /// Constraints to those submaps, or to nodes that do not exist.
+    /// Constraints to those submaps, or to missing nodes.
     pub constraints_left_out: u64,
-    /// Points of nodes that are not finite or beyond the 8388 m that files can hold.
+    /// Points of nodes that are not finite or beyond the range of files, 8388 m.
     pub points_left_out: u64,
     /// Observations of landmarks by trajectories that were deleted.
     pub landmark_sightings_left_out: u64,
@@ -42,7 +42,7 @@ pub struct WriteReport {
 /// Writes a 2D map; see [`write_map`].
 ///
 /// # Errors
-/// As [`write_map`].
+/// As for [`write_map`].
 pub fn write_map_2d(
     map: &Map<Space2d>,
     path: impl AsRef<Path>,
@@ -51,9 +51,9 @@ pub fn write_map_2d(
     write_map(map, path, include_unfinished)
 }
 
-/// Writes a map in format version 2. The file appears only when it is complete; the same map gives the
-/// same bytes on any number of threads. Without `include_unfinished`, submaps that are still being filled
-/// are left out, with the constraints to them.
+/// Writes a map in format version 2. The file appears only when it is complete. The same map gives the same
+/// bytes on any number of threads. Without `include_unfinished`, submaps that are still being filled are left
+/// out, with the constraints to them.
 ///
 /// # Errors
 /// If the file cannot be written, or a number does not fit the format.
@@ -65,11 +65,11 @@ pub fn write_map<S: MapFileSpace>(
     write_graph(&map.graph, &map.trajectories, &map.options, path, include_unfinished)
 }
 
-/// Like [`write_map`], of a pose graph that may still be growing. `options` are those of the map; the ones of
-/// `trajectory_builder` count for trajectories that are not in `trajectories`.
+/// Like [`write_map`], for a pose graph that may still be growing. `options` are those of the map; its
+/// `trajectory_builder` applies to trajectories that are not in `trajectories`.
 ///
 /// # Errors
-/// As [`write_map`].
+/// As for [`write_map`].
 pub fn write_graph<S: MapFileSpace>(
     graph: &PoseGraph<S>,
     trajectories: &BTreeMap<TrajectoryId, EndedTrajectory>,
@@ -125,7 +125,7 @@ fn all_options_to_proto<S: MapFileSpace>(
     Ok(m::AllTrajectoryBuilderOptions { options_with_sensor_ids, portolan_configuration: options.to_json() })
 }
 
-/// What would be wrong with the file of this pose graph, as [`validate_pose_graph`] says.
+/// Errors that the file of this pose graph would have, found by [`validate_pose_graph`].
 ///
 /// # Errors
 /// If a number does not fit the format.
@@ -185,7 +185,7 @@ fn write_nodes<S: MapFileSpace>(
     Ok(())
 }
 
-/// A node as a message (`formats.md` §4.2), and how many points could not be stored.
+/// A node as a message (`formats.md` §4.2), and the number of points that could not be stored.
 fn node_to_proto(id: NodeId, data: &NodeData) -> Result<(m::Node, usize), MapConversionError> {
     let node = id_for_errors(id.trajectory_id, id.index);
     let cloud =

@@ -1,4 +1,4 @@
-//! Maps cut by area.
+//! Cuts maps by area.
 
 use portolan_geometry::Rigid3;
 
@@ -8,9 +8,9 @@ use crate::paint::MapArea;
 use portolan_pbstream::submap_poses;
 
 impl MapDraft {
-    /// Leaves only what was seen from inside of a rectangle of the global map, or, with `inside` false, only
-    /// what was seen from outside of it. Whole submaps stay or go, by the rule of
-    /// [`MapDraft::cut_time`]; with `inside` false those that stay lose their cells in the rectangle.
+    /// Keeps only nodes inside a rectangle of the global map or, with `inside` false, only those outside of
+    /// it. Submaps are kept or removed as a whole, by the rule of [`MapDraft::cut_time`]. With `inside` false
+    /// the cells of the kept submaps in the rectangle are cleared.
     ///
     /// # Errors
     /// If nothing would be left.

@@ -1,4 +1,4 @@
-//! Cells of grids made unknown by area.
+//! Sets cells of grids to unknown by area.
 
 use std::collections::BTreeMap;
 
@@ -11,17 +11,17 @@ use portolan_pbstream::proto::mapping::{Grid2D, HybridGrid, Submap};
 use portolan_pbstream::{IdInFile, pose_from_proto};
 use portolan_pbstream::{check_grid_2d, check_hybrid_grid, mend_grid_2d, mend_hybrid_grid};
 
-/// A rectangle of the global map in which submaps keep no cells, and where they lay when that was said.
+/// A rectangle of the global map in which cells are cleared, and the poses of the submaps at that time.
 pub(super) struct ClearedArea {
     pub area: MapArea,
     pub submaps: BTreeMap<IdInFile, Rigid3>,
 }
 
 impl ClearedArea {
-    /// Makes the cells in the rectangle unknown; returns how many were known.
+    /// Sets the cells in the rectangle to unknown. Returns how many were known.
     ///
     /// # Errors
-    /// What is wrong with a grid of which nobody knows where its cells are.
+    /// Why the grid is broken, so that the positions of its cells are unknown.
     pub fn clear(&self, id: IdInFile, submap: &mut Submap) -> Result<u64, String> {
         let Some(map_from_submap) = self.submaps.get(&id) else { return Ok(0) };
         let mut cleared = 0;
@@ -75,7 +75,7 @@ impl ClearedArea {
             }
         }
         if cleared > 0 {
-            // The box of known cells is another one.
+            // The box of known cells changes.
             mend_grid_2d(grid);
         }
         Ok(cleared)

@@ -1,4 +1,4 @@
-//! Loop closures judged, dropped and added.
+//! Evaluates, removes and adds loop closures.
 
 use std::collections::BTreeMap;
 
@@ -11,32 +11,32 @@ use portolan_pbstream::proto::mapping::pose_graph::constraint::Tag;
 use portolan_pbstream::proto::mapping::{NodeId, SubmapId};
 use portolan_pbstream::{IdInFile, node_id, pose_from_proto, pose_to_proto, submap_id, submap_poses};
 
-/// How far a loop closure is from the poses of the map.
+/// Residual of a loop closure against the poses of the map.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LoopResidual {
     /// The submap.
     pub submap: IdInFile,
     /// The node.
     pub node: IdInFile,
-    /// Metres.
+    /// Translation, metres.
     pub translation: f64,
-    /// Radians.
+    /// Rotation, radians.
     pub rotation: f64,
 }
 
 /// Weights of a loop closure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LoopWeights {
-    /// 1/m.
+    /// Weight of the translation, 1/m.
     pub translation: f64,
-    /// 1/rad.
+    /// Weight of the rotation, 1/rad.
     pub rotation: f64,
 }
 
-/// Defaults of `loop_closure_translation_weight` and `loop_closure_rotation_weight`.
+/// Default weights, those of `loop_closure_translation_weight` and `loop_closure_rotation_weight`.
 const DEFAULT_WEIGHTS: LoopWeights = LoopWeights { translation: 1.1e4, rotation: 1e5 };
 
-/// Ids for people: `0,0 to 0,7, 1,0 to 1,3`, by trajectory. `ids` ascend.
+/// Ids as text for messages: `0,0 to 0,7, 1,0 to 1,3`, by trajectory. `ids` ascend.
 fn ranges<'a>(ids: impl Iterator<Item = &'a IdInFile>) -> String {
     let mut ranges: BTreeMap<i32, (i32, i32)> = BTreeMap::new();
     for (trajectory, index) in ids {
@@ -50,7 +50,7 @@ fn ranges<'a>(ids: impl Iterator<Item = &'a IdInFile>) -> String {
 }
 
 impl MapDraft {
-    /// All loop closures with their residuals, the worst first.
+    /// All loop closures with their residuals, the largest translation first.
     pub fn loop_residuals(&self) -> Vec<LoopResidual> {
         let submaps = submap_poses(&self.graph);
         let nodes = self.all_node_poses();
@@ -80,18 +80,17 @@ impl MapDraft {
         nodes.collect()
     }
 
-    /// Takes out the loop closures between a submap and a node.
+    /// Removes the loop closures between a submap and a node.
     ///
     /// # Errors
-    /// If there is none.
+    /// If there is no such loop closure.
     pub fn drop_loop(&mut self, submap: IdInFile, node: IdInFile) -> Result<(), EditError> {
         let dropped = self
             .drop_loops(|c| submap_id(c.submap_id.as_ref()) == submap && node_id(c.node_id.as_ref()) == node);
         if dropped == 0 { Err(EditError::NoLoop { submap, node }) } else { Ok(()) }
     }
 
-    /// Takes out the loop closures that are further than this from the poses of the map, metres and radians;
-    /// returns how many.
+    /// Removes the loop closures with residuals above these limits, metres and radians. Returns their number.
     pub fn drop_loops_beyond(&mut self, translation: f64, rotation: f64) -> u64 {
         let bad: std::collections::BTreeSet<(IdInFile, IdInFile)> = self
             .loop_residuals()
@@ -110,7 +109,7 @@ impl MapDraft {
         dropped
     }
 
-    /// The weights that loop closures of this map have (the middle ones), or the usual ones.
+    /// The median weights of the loop closures of this map, or the defaults if there are none.
     pub fn loop_weights(&self) -> LoopWeights {
         let loops = || self.graph.constraint.iter().filter(|c| c.tag() == Tag::InterSubmap);
         let median = |mut values: Vec<f64>| {
@@ -126,11 +125,11 @@ impl MapDraft {
         }
     }
 
-    /// Puts in a loop closure: the pose of the node's tracking frame in the submap. It moves nothing until
-    /// the map is optimised.
+    /// Adds a loop closure: the pose of the node's tracking frame in the submap. Poses change only when the
+    /// map is optimised.
     ///
     /// # Errors
-    /// If submap or node are not there.
+    /// If the submap or node is missing.
     pub fn add_loop(
         &mut self,
         submap: IdInFile,

@@ -22,40 +22,40 @@ use portolan_pbstream::{IdInFile, pose_from_proto};
 
 use crate::written::damage_of;
 
-/// What editing did.
+/// Report of an edit.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct EditReport {
-    /// Trajectories taken out.
+    /// Trajectories removed.
     pub trajectories_removed: u64,
-    /// Submaps taken out.
+    /// Submaps removed.
     pub submaps_removed: u64,
-    /// Nodes taken out.
+    /// Nodes removed.
     pub nodes_removed: u64,
-    /// Constraints taken out, with those to removed parts.
+    /// Constraints removed, including those to removed parts.
     pub constraints_removed: u64,
-    /// Loop closures put in.
+    /// Loop closures added.
     pub constraints_added: u64,
-    /// Cells made unknown.
+    /// Known cells set to unknown.
     pub cells_cleared: u64,
-    /// Measurements taken out.
+    /// Measurements removed.
     pub sensor_messages_removed: u64,
     /// Messages written.
     pub messages: u64,
-    /// What is wrong with what was written, because it was wrong with its sources.
+    /// Errors of the written map, taken over from the source files.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub damage: Vec<Finding>,
 }
 
-/// A file that submaps, nodes and measurements come from.
+/// A file with submaps, nodes and measurements of the draft.
 pub(super) struct Source {
     pub path: PathBuf,
-    /// Numbers of the trajectories that are kept: in the file, in the draft.
+    /// Kept trajectories: from their numbers in the file to those in the draft.
     pub ids: BTreeMap<i32, i32>,
-    /// From the global map of the file to that of the draft.
+    /// Transform from the global map of the file to that of the draft.
     pub map_from_source: Rigid3,
 }
 
-/// What an optimisation found of a trajectory besides its poses.
+/// Results of an optimisation for a trajectory, besides its poses.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Estimate {
     /// Pose of the fixed frame in the global map of the draft.
@@ -67,20 +67,20 @@ pub(super) struct Estimate {
 /// A map that is being edited.
 pub struct MapDraft {
     pub(super) version: u32,
-    /// As JSON, of the first file; empty unless Portolan made it.
+    /// Configuration of the first file as JSON; empty unless Portolan made that map.
     configuration: String,
     pub(super) graph: PoseGraph,
-    /// Beside `graph.trajectory`.
+    /// Parallel to `graph.trajectory`.
     pub(super) options: Vec<TrajectoryOptions>,
-    /// Of the first file.
+    /// Unread content of the first file.
     unread: Unread,
     pub(super) dimension: Option<Dimension>,
     pub(super) sources: Vec<Source>,
-    /// Measurements of these trajectories are kept from the first to the second time only, ticks.
+    /// First and last time of the measurements that are kept, for trajectories that were cut, ticks.
     pub(super) cuts: BTreeMap<i32, (i64, i64)>,
-    /// Where submaps lose their cells.
+    /// Areas in which cells of submaps are cleared.
     pub(super) cleared: Vec<ClearedArea>,
-    /// Replaces what the files say.
+    /// Replaces the estimates in the files.
     pub(super) estimates: BTreeMap<i32, Estimate>,
     pub(super) limits: ReadLimits,
     pub(super) report: EditReport,
@@ -90,7 +90,7 @@ impl MapDraft {
     /// Opens a map.
     ///
     /// # Errors
-    /// If it cannot be read, or has poses that are not valid or numbers that are there twice.
+    /// If it cannot be read, or has poses that are not valid or ids that occur twice.
     pub fn open(path: impl AsRef<Path>, limits: ReadLimits) -> Result<Self, EditError> {
         let path = path.as_ref();
         let failed = |source| EditError::File { path: path.to_owned(), source };
@@ -119,10 +119,10 @@ impl MapDraft {
         })
     }
 
-    /// The options that the (first) map was made with; none if it does not say so.
+    /// The options that the (first) map was made with; none if the file has none.
     ///
     /// # Errors
-    /// If what it says cannot be read.
+    /// If the options in the file cannot be read.
     pub fn options(&self) -> Result<Option<Options>, ConfigError> {
         if self.configuration.is_empty() {
             return Ok(None);
@@ -130,11 +130,11 @@ impl MapDraft {
         Options::from_json(&self.configuration).map(|c| Some(c.options))
     }
 
-    /// Adds all of another map, placed by `map_from_other` into the global map of this one. Its trajectories
-    /// get the next free numbers; returned are their numbers there and here.
+    /// Adds all of another map, placed by `map_from_other` in the global map of this one. Its trajectories
+    /// get the next free numbers. Returns the map from their old numbers to the new ones.
     ///
     /// # Errors
-    /// As [`MapDraft::open`]; also if one map is 2D and the other 3D, or their versions differ.
+    /// As for [`MapDraft::open`]; also if one map is 2D and the other 3D, or if their versions differ.
     pub fn append(
         &mut self,
         path: impl AsRef<Path>,
@@ -178,12 +178,12 @@ impl MapDraft {
         self.graph.trajectory.iter().flat_map(poses).filter_map(|pose| pose_from_proto(pose.as_ref()))
     }
 
-    /// A frame near the map.
+    /// A near frame of the map.
     pub(super) fn near_frame(&self) -> NearFrame {
         NearFrame::around(self.all_poses().map(|pose| pose.translation.vector))
     }
 
-    /// Refuses to reckon with a map of which a part lies where nothing on the Earth is.
+    /// Returns an error if a part of the map is at coordinates that are not possible on the Earth.
     pub(super) fn require_on_earth(&self) -> Result<(), EditError> {
         let mut places = self.all_poses().map(|pose| pose.translation.vector);
         match places.find(|place| !is_on_earth(place)) {
@@ -192,12 +192,12 @@ impl MapDraft {
         }
     }
 
-    /// Global poses, constraints and landmarks as they are now.
+    /// Current global poses, constraints and landmarks.
     pub fn pose_graph(&self) -> &PoseGraph {
         &self.graph
     }
 
-    /// Whether it is in 2D or in 3D; none of a map without submaps.
+    /// Whether the map is 2D or 3D; none for a map without submaps.
     pub fn dimension(&self) -> Option<Dimension> {
         self.dimension
     }
@@ -208,7 +208,7 @@ impl MapDraft {
         ids.into_iter()
     }
 
-    /// What was done so far.
+    /// Report of all edits so far.
     pub fn report(&self) -> &EditReport {
         &self.report
     }
@@ -216,7 +216,7 @@ impl MapDraft {
     /// Moves the whole map: a point at `p` in the old global map is at `new_from_old · p` afterwards.
     ///
     /// # Errors
-    /// If a 2D map would leave its plane, or anything would be moved to where nothing on the Earth is.
+    /// If a 2D map would leave its plane, or a part would get coordinates that are not possible on the Earth.
     pub fn transform(&mut self, new_from_old: &Rigid3) -> Result<(), EditError> {
         let leaves = |pose: Rigid3| {
             let moved = new_from_old * pose;
@@ -243,11 +243,10 @@ impl MapDraft {
         Ok(())
     }
 
-    /// Writes the map. The file appears when it is complete; it may be one of those that the draft comes
-    /// from.
+    /// Writes the map. The file appears when it is complete; it may be one of the source files of the draft.
     ///
     /// # Errors
-    /// If reading or writing fails, or nothing is left of the map.
+    /// If reading or writing fails, or no trajectory is left.
     pub fn write(mut self, output: impl AsRef<Path>) -> Result<EditReport, EditError> {
         if self.graph.trajectory.is_empty() {
             return Err(EditError::Nothing);
@@ -275,7 +274,7 @@ impl MapDraft {
         Ok(self.report)
     }
 
-    /// Files have trajectories in ascending order, options beside them.
+    /// Sorts trajectories by their numbers, with their options, as files require.
     fn sort_trajectories(&mut self) {
         let trajectories = std::mem::take(&mut self.graph.trajectory);
         let mut pairs: Vec<(Trajectory, TrajectoryOptions)> =
@@ -285,7 +284,7 @@ impl MapDraft {
     }
 }
 
-/// By the first submap of the file.
+/// Dimension of the first submap of the file.
 fn dimension(reader: &mut MapReader) -> Result<Option<Dimension>, portolan_pbstream::PbstreamError> {
     while let Some(message) = reader.next_message()? {
         if let Data::Submap(submap) = message.data {
@@ -296,7 +295,7 @@ fn dimension(reader: &mut MapReader) -> Result<Option<Dimension>, portolan_pbstr
     Ok(None)
 }
 
-/// Every pose valid, every id once.
+/// Checks that every pose is valid and every id occurs once.
 fn check(path: &Path, graph: &PoseGraph) -> Result<(), EditError> {
     let broken = |reason: String| EditError::Broken { path: path.to_owned(), reason };
     let mut seen: BTreeSet<(i32, IdInFile)> = BTreeSet::new();

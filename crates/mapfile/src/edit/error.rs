@@ -1,4 +1,4 @@
-//! Why a map cannot be edited.
+//! Errors of editing a map.
 
 use std::path::PathBuf;
 
@@ -7,7 +7,7 @@ use portolan_geometry::FARTHEST_COORDINATE;
 use portolan_pbstream::IdInFile;
 use portolan_pbstream::PbstreamError;
 
-/// Why a map cannot be edited.
+/// Errors of editing a map.
 #[derive(Debug, thiserror::Error)]
 pub enum EditError {
     /// The map could not be written.
@@ -18,7 +18,7 @@ pub enum EditError {
     File {
         /// The map.
         path: PathBuf,
-        /// What went wrong.
+        /// Cause.
         source: PbstreamError,
     },
     /// A part of a map cannot be used.
@@ -26,7 +26,7 @@ pub enum EditError {
     Content {
         /// The map.
         path: PathBuf,
-        /// What is wrong.
+        /// Cause.
         source: Box<MapConversionError>,
     },
     /// A map that must be repaired first.
@@ -37,45 +37,45 @@ pub enum EditError {
         /// What is wrong with it.
         reason: String,
     },
-    /// A trajectory that is not there.
+    /// A trajectory is missing.
     #[error("there is no trajectory {id} in the map; it has: {known}")]
     NoTrajectory {
-        /// The one asked for.
+        /// Number asked for.
         id: i32,
-        /// Those that are there.
+        /// Numbers of the existing trajectories.
         known: String,
     },
-    /// Two trajectories of one number.
+    /// Two trajectories would have the same number.
     #[error("two trajectories would have the number {0}")]
     SameTrajectory(i32),
-    /// A submap or node that is not there.
+    /// A submap or node is missing.
     #[error("there is no {what} {},{} in the map; there are {known}", id.0, id.1)]
     NoPart {
         /// `submap` or `node`.
         what: &'static str,
-        /// The id asked for.
+        /// Id asked for.
         id: IdInFile,
-        /// Those that are there.
+        /// Existing ids.
         known: String,
     },
     /// Nothing would be left.
     #[error("nothing would be left of the map")]
     Nothing,
-    /// A 2D and a 3D map, or a 2D map moved out of its plane.
+    /// A 2D map together with a 3D map, or a 2D map moved out of its plane.
     #[error("{0}")]
     Dimension(&'static str),
-    /// A map moved farther than anything on Earth lies apart: positions there would lose their digits.
+    /// A map moved farther than distances on the Earth: positions would lose precision.
     #[error("a map can be moved by {0:.0} km at most, and to no place farther from its origin", FARTHEST_COORDINATE / 1e3)]
     TooFar,
-    /// A part of a map that is not on the Earth.
+    /// A part of a map is at coordinates that are not possible on the Earth.
     #[error(
         "a part of the map lies {0:.1e} m from its origin, farther than anything on the Earth: take it out first"
     )]
     FarAway(f64),
-    /// Maps of different versions.
+    /// Maps of different format versions.
     #[error("the maps have the format versions {0} and {1}; `migrate` the older one first")]
     Versions(u32, u32),
-    /// A loop closure that is not there.
+    /// A loop closure does not exist.
     #[error("there is no loop closure between submap {},{} and node {},{}", submap.0, submap.1, node.0, node.1)]
     NoLoop {
         /// The submap.
@@ -93,10 +93,10 @@ pub enum EditError {
         submap: IdInFile,
         /// The node.
         node: IdInFile,
-        /// How well it fits at best.
+        /// Why it was not found, with its best score if there is one.
         why: String,
     },
-    /// The scans of a merged map do not agree where in the other it lies.
+    /// The scans of a merged map do not agree on its pose in the other map.
     #[error(
         "{}: where it lies in the other map was not found: its scans fit nowhere, or in more than one place (not \
          found: trajectory {})",
@@ -106,16 +106,16 @@ pub enum EditError {
     NotPlaced {
         /// The map.
         path: PathBuf,
-        /// Those of its trajectories that were not found.
+        /// Its trajectories that could not be placed.
         trajectories: Vec<i32>,
     },
-    /// No direction of walls.
+    /// No common direction of walls was found.
     #[error("the map shows no walls of a common direction; give the angle")]
     NoWalls,
     /// The poses could not be optimised.
     #[error("the poses could not be optimised: {0}")]
     Optimization(String),
-    /// Poses from elsewhere do not belong to the map.
+    /// Imported poses do not belong to the map.
     #[error("{0}")]
     Poses(String),
 }

@@ -1,4 +1,4 @@
-//! The constraints of a map as a pose graph for other programs, and their poses taken back.
+//! Exports the constraints of a map as a pose graph for other programs, and imports the resulting poses.
 
 use std::collections::BTreeMap;
 
@@ -11,10 +11,10 @@ use super::{EditError, MapDraft};
 use portolan_pbstream::{IdInFile, node_id, pose_from_proto, submap_id, submap_poses};
 
 impl MapDraft {
-    /// The map as a pose graph: its submaps, ascending by id, are the vertices from 0 on, its nodes the
-    /// vertices after them; its constraints are the edges, in their order, with the squares of their weights
-    /// as information (per metre and per radian). The first submap is fixed. In 2D nodes are levelled: the
-    /// tracking frame without its roll and pitch, heading kept.
+    /// The map as a pose graph. Its submaps, ascending by id, are the vertices from 0 on, followed by its
+    /// nodes. Its constraints are the edges, in their order, with the squares of their weights as information
+    /// (per metre and per radian). The first submap is fixed. In 2D nodes are levelled: the tracking frame
+    /// without its roll and pitch, heading kept.
     ///
     /// # Errors
     /// If the files cannot be read or a node lacks its poses.
@@ -67,7 +67,7 @@ impl MapDraft {
         graph
     }
 
-    /// Takes over the poses of a graph as [`MapDraft::to_graph`] makes it. Heights of a 2D map stay.
+    /// Imports the poses of a graph made by [`MapDraft::to_graph`]. Heights of a 2D map stay.
     ///
     /// # Errors
     /// If the graph is of another dimension or does not have the vertices of this map.
@@ -106,8 +106,8 @@ impl MapDraft {
     }
 }
 
-/// The turn about the vertical from a gravity-aligned node of the pose graph to its tracking frame. The
-/// alignment of a node turns about the vertical, too, as local SLAM integrates it from the first scan on.
+/// Rotation about the vertical from a gravity-aligned node of the pose graph to its tracking frame. The
+/// gravity alignment of a node includes a yaw, because local SLAM integrates it from the first scan on.
 fn heading_of(gravity_alignment: &Quaternion) -> Rigid2 {
     Rigid2::new(0.0, 0.0, yaw(gravity_alignment))
 }

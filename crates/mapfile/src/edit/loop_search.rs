@@ -1,4 +1,4 @@
-//! A node looked for in a submap, to add a loop closure that mapping missed.
+//! Searches for a node in a submap, to add a loop closure that mapping missed.
 
 use portolan_config::ConstraintBuilderOptions;
 use portolan_geometry::{Dimension, Rigid3, rotation_angle};
@@ -16,23 +16,23 @@ use portolan_pbstream::{IdInFile, node_id, submap_id, submap_poses};
 /// A node found in a submap.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FoundLoop {
-    /// How well it fits, 0 to 1.
+    /// Matching score, 0 to 1.
     pub score: f32,
     /// Position of the node in the submap, metres.
     pub position: [f64; 3],
-    /// How far that is from where the poses of the map have it: metres and radians.
+    /// Difference from the pose in the map: metres and radians.
     pub off: (f64, f64),
-    /// The node's tracking frame in the submap.
+    /// Pose of the node's tracking frame in the submap.
     #[serde(skip)]
     pub submap_from_node: Rigid3,
 }
 
 impl MapDraft {
-    /// Looks for the scan of a node everywhere in a submap. Matches of a score below
-    /// `options.global_localization_min_score` do not count.
+    /// Searches for the scan of a node in the whole submap. Matches with a score below
+    /// `options.global_localization_min_score` are rejected.
     ///
     /// # Errors
-    /// If either is not there or cannot be used, or nothing was found.
+    /// If the submap or node is missing or cannot be used, or if no match is found.
     pub fn find_loop(
         &self,
         submap: IdInFile,
@@ -58,7 +58,7 @@ impl MapDraft {
         };
         let matcher = S::build_matcher(&grid, options)
             .ok_or_else(|| not_found("the submap is empty, or too large to be searched".to_owned()))?;
-        // In 3D the search wants to know which way is up: the poses of the map do.
+        // In 3D the search needs the direction of gravity: it is taken from the poses of the map.
         let guess = self.guess::<S>(submap, node, &scan);
         let search = |options: &ConstraintBuilderOptions| {
             let acceptance = MatchAcceptance::default();
@@ -85,11 +85,11 @@ impl MapDraft {
         Ok(FoundLoop { score: found.score, position: [t.x, t.y, t.z], off, submap_from_node })
     }
 
-    /// How the scan of a node agrees with a submap where somebody says that it was taken; none in 3D, and where the scan or the grid
-    /// is not in the file.
+    /// Agreement of the scan of a node with a submap at a pose given by the user. None in 3D, and if the scan
+    /// or the grid is not in the file.
     ///
     /// # Errors
-    /// Either is not there or cannot be read.
+    /// The submap or node is missing or cannot be read.
     pub fn judge_loop(
         &self,
         submap: IdInFile,
@@ -106,7 +106,7 @@ impl MapDraft {
         Ok(Some(Space2d::agreement(&grid, &scan, &pose).unwrap_or(nothing)))
     }
 
-    /// Where the node is in the submap by the poses of the map.
+    /// Pose of the node in the submap by the poses of the map.
     fn guess<S: MapFileSpace>(&self, submap: IdInFile, node: IdInFile, scan: &NodeData) -> Rigid3 {
         let poses = (submap_poses(&self.graph), self.all_node_poses());
         match (poses.0.get(&submap), poses.1.get(&node)) {
@@ -117,7 +117,7 @@ impl MapDraft {
         }
     }
 
-    /// The grid and the scan from their files.
+    /// Reads the grid and the scan from their files.
     fn load_pair<S: MapFileSpace>(
         &self,
         submap: IdInFile,
@@ -152,10 +152,11 @@ impl MapDraft {
     }
 }
 
-/// What fits worse is not reported.
+/// Minimum score of the best match that is reported in the error, 0 to 1.
 const LEAST_SCORE: f64 = 0.1;
 
-/// Clouds of more points are no scan of a node, and looking for them would take minutes.
+/// Maximum number of points of a scan. Larger clouds are no scan of a node, and matching them would take
+/// minutes.
 const MAX_POINTS: usize = 1 << 20;
 
 pub(super) fn check_size(node: &NodeData) -> Result<(), String> {

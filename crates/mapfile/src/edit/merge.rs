@@ -1,4 +1,4 @@
-//! Another map added where its scans fit.
+//! Adds another map at the place where its scans match.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -26,27 +26,27 @@ use portolan_pbstream::proto::mapping::serialized_data::Data;
 use portolan_pbstream::proto::mapping::{NodeId as NodeIdMessage, SubmapId as SubmapIdMessage};
 use portolan_pbstream::{IdInFile, node_id, pose_from_proto, pose_to_proto, submap_id, submap_poses};
 
-/// Where a merged map was found.
+/// Result of placing a merged map.
 #[derive(Clone, Debug, Serialize)]
 pub struct JoinedMap {
-    /// Numbers of its trajectories: there, here.
+    /// From the numbers of its trajectories to those in this map.
     pub ids: BTreeMap<i32, i32>,
-    /// Where the first node of its first trajectory was moved: from its map to this one.
+    /// Transform of the first node of its first trajectory: from its map to this one.
     #[serde(skip)]
     pub map_from_other: Rigid3,
-    /// Loop closures between the maps.
+    /// Number of loop closures between the maps.
     pub loop_closures: u64,
-    /// How all poses were optimised with them.
+    /// Optimisation of all poses with these loop closures.
     pub optimization: MapOptimization,
 }
 
 impl MapDraft {
-    /// Adds all of another map where its scans fit into this one, closes loops between the two, and optimises all
-    /// poses. Its trajectories get the next free numbers.
+    /// Adds all of another map where its scans match this one, closes loops between the two, and optimises
+    /// all poses. Its trajectories get the next free numbers.
     ///
     /// # Errors
-    /// As [`MapDraft::append`]; [`EditError::NotPlaced`] if its scans do not agree on a place. The draft should be
-    /// dropped then.
+    /// As for [`MapDraft::append`]; [`EditError::NotPlaced`] if its scans do not agree on a pose. The draft
+    /// should be dropped then.
     pub fn append_where_it_fits(
         &mut self,
         path: impl AsRef<Path>,
@@ -62,7 +62,7 @@ impl MapDraft {
         }
     }
 
-    /// Joined in a frame near this map, where the other one comes to lie.
+    /// Joins the maps in a near frame of this map, because the other map will be placed near it.
     fn join<S: MapFileSpace>(
         &mut self,
         path: &Path,
@@ -95,7 +95,7 @@ impl MapDraft {
         })
     }
 
-    /// The draft as mapping has it.
+    /// The draft as a pose graph of mapping.
     fn pose_graph_in_memory<S: MapFileSpace>(
         &self,
         collected: &Collected,
@@ -167,8 +167,8 @@ impl MapDraft {
         Ok(())
     }
 
-    /// Takes out the loop closures that were dropped and puts in those that were found; returns how many relate the
-    /// joined trajectories to the others.
+    /// Removes the loop closures that the pose graph dropped and adds those that it found. Returns the number
+    /// of loop closures between the joined trajectories and the others.
     fn take_over_loops<S: MapFileSpace>(
         &mut self,
         graph: &PoseGraph<S>,

@@ -1,4 +1,4 @@
-//! The poses of a map moved to where its constraints and measurements agree best.
+//! Optimises the poses of a map by its constraints and measurements.
 
 mod collect;
 
@@ -17,37 +17,37 @@ pub(super) use collect::Collected;
 use portolan_pbstream::proto::mapping::pose_graph::constraint::Tag;
 use portolan_pbstream::{IdInFile, node_id, pose_from_proto, pose_to_proto, submap_id, submap_poses};
 
-/// What an optimisation of a map did.
+/// Report of the optimisation of a map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct MapOptimization {
-    /// Half of the weighted squares of all residuals, robust loss applied, before.
+    /// Cost before: half the weighted sum of squared residuals with robust loss.
     pub initial_cost: f64,
-    /// The same afterwards.
+    /// Cost afterwards.
     pub final_cost: f64,
-    /// Steps.
+    /// Number of iterations.
     pub iterations: u32,
-    /// Whether a tolerance stopped it, not the number of steps.
+    /// Whether a tolerance was reached before the maximum number of iterations.
     pub converged: bool,
-    /// Submaps that took part.
+    /// Number of optimised submaps.
     pub submaps: u64,
-    /// Nodes that took part.
+    /// Number of optimised nodes.
     pub nodes: u64,
-    /// Constraints that took part.
+    /// Number of constraints used.
     pub constraints: u64,
-    /// How far a node was moved at most, metres.
+    /// Largest displacement of a node, metres.
     pub largest_move: f64,
 }
 
 impl MapDraft {
-    /// Optimises all poses of the map, at most `iterations` steps, with all that mapping uses: loop closures and
-    /// constraints within submaps, what local SLAM, odometry and (3D) the IMU say of neighbouring nodes,
-    /// fixed-frame poses and landmarks. The first submap stays where it is (3D: it aligns with gravity), and so
-    /// does that of every part that nothing ties to the rest. `options` are best those of the map
-    /// ([`MapDraft::options`]): weights that it was not made with bend it.
+    /// Optimises all poses of the map in at most `iterations` steps with all residuals of mapping: loop
+    /// closures and constraints within submaps, relative motion of neighbouring nodes by local SLAM, odometry
+    /// and (3D) the IMU, fixed-frame poses and landmarks. The first submap is fixed (in 3D it is aligned with
+    /// gravity), and so is the first one of every part that no constraint connects to the rest. `options`
+    /// should be those of the map ([`MapDraft::options`]): other weights than in mapping distort it.
     ///
     /// # Errors
-    /// If the files cannot be read, a node lacks its pose, there is nothing to optimise, a part lies where nothing on the Earth
-    /// is, or it cannot be done.
+    /// If the files cannot be read, a node lacks its pose, there is nothing to optimise, a part is at
+    /// coordinates that are not possible on the Earth, or the optimisation fails.
     pub fn optimize(&mut self, options: &Options, iterations: u32) -> Result<MapOptimization, EditError> {
         self.require_on_earth()?;
         match self.dimension {
@@ -70,7 +70,7 @@ impl MapDraft {
         if data.nodes.is_empty() || data.submaps.is_empty() {
             return Err(EditError::Optimization("it has no nodes or no submaps".to_owned()));
         }
-        // Far from the origin steps would be too short for the solver in comparison with where poses are.
+        // Far from the origin steps would be too short for the solver, in comparison with the coordinates.
         let frame = self.near_frame();
         data.move_by(&-frame.origin());
         let summary =
@@ -186,7 +186,7 @@ impl MapDraft {
     }
 }
 
-/// Which trajectories constraints tie together.
+/// Trajectories connected by constraints.
 fn connectivity(data: &OptimizationData, constraints: &[Constraint]) -> TrajectoryConnectivity {
     let mut connectivity = TrajectoryConnectivity::default();
     data.submaps.keys().for_each(|id| connectivity.add(id.trajectory_id));
@@ -196,7 +196,7 @@ fn connectivity(data: &OptimizationData, constraints: &[Constraint]) -> Trajecto
     connectivity
 }
 
-// Ids of a draft are checked to be at least zero.
+// Ids of a draft have been checked: they are not negative.
 pub(super) fn trajectory_in_memory(id: i32) -> TrajectoryId {
     TrajectoryId(id.unsigned_abs())
 }

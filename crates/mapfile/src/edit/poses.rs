@@ -1,4 +1,4 @@
-//! Poses of the whole graph moved, or replaced by those of another program.
+//! Transforms the poses of the whole graph, or replaces them by poses of another program.
 
 use std::collections::BTreeMap;
 
@@ -11,14 +11,14 @@ use portolan_pbstream::proto::mapping::pose_graph::constraint::Tag;
 use portolan_pbstream::proto::transform::Rigid3d;
 use portolan_pbstream::{IdInFile, node_id, pose_from_proto, pose_to_proto, submap_id};
 
-/// What was replaced.
+/// Report of a replacement of poses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct PoseReplacement {
     /// Nodes that got a new pose.
     pub nodes: u64,
-    /// Nodes outside of the given trajectory: moved with the nearest one that has a new pose.
+    /// Nodes outside of the times of the given poses: moved with the nearest node that has a new pose.
     pub nodes_moved_along: u64,
-    /// Submaps that got a new pose, by the nodes in them.
+    /// Submaps that got a new pose, from the nodes in them.
     pub submaps: u64,
 }
 
@@ -37,7 +37,7 @@ pub(super) fn transform_graph(graph: &mut PoseGraph, new_from_old: &Rigid3) {
 }
 
 impl MapDraft {
-    /// Gives submaps and nodes new global poses; those that are not named keep theirs.
+    /// Sets global poses of submaps and nodes; those that are not given keep theirs.
     pub fn set_poses(&mut self, submaps: &BTreeMap<IdInFile, Rigid3>, nodes: &BTreeMap<IdInFile, Rigid3>) {
         for trajectory in &mut self.graph.trajectory {
             let t = trajectory.trajectory_id;
@@ -54,12 +54,12 @@ impl MapDraft {
         }
     }
 
-    /// Takes over the poses of a trajectory from elsewhere (a refinement, a survey): nodes are placed by
-    /// interpolation at their times, submaps by the first node that lies in them. `poses` must ascend in
-    /// time.
+    /// Replaces the poses of a trajectory by external ones (a refinement, a survey). Nodes get poses
+    /// interpolated at their times, submaps the pose by the first node inserted into them. `poses` must
+    /// ascend in time.
     ///
     /// # Errors
-    /// If the trajectory is not there, or no node lies within the times of the poses.
+    /// If the trajectory is missing, or if no node is within the times of the poses.
     pub fn replace_trajectory(
         &mut self,
         id: i32,
@@ -102,7 +102,7 @@ impl MapDraft {
         Ok(done)
     }
 
-    /// Where submaps lie by the first constraint of a node in them that has a new pose.
+    /// Poses of submaps by the first intra-submap constraint to a node that has a new pose.
     fn submaps_by_nodes(&self, nodes: &BTreeMap<IdInFile, Rigid3>) -> BTreeMap<IdInFile, Rigid3> {
         let mut submaps = BTreeMap::new();
         for constraint in self.graph.constraint.iter().filter(|c| c.tag() == Tag::IntraSubmap) {
@@ -130,7 +130,7 @@ impl MapDraft {
     }
 }
 
-/// The pose at a time within those of the list.
+/// Pose interpolated at a time; none outside of the times of the list.
 fn pose_at(poses: &[(Time, Rigid3)], time: Time) -> Option<Rigid3> {
     let after = poses.partition_point(|(t, _)| *t < time);
     let (end, end_pose) = poses.get(after)?;

@@ -1,4 +1,4 @@
-//! Submaps, nodes and measurements copied from their files, as far as the draft has them.
+//! Copies submaps, nodes and measurements from their files, if they are in the draft.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,7 +18,7 @@ use portolan_pbstream::{IdInFile, pose_from_proto, pose_to_proto};
 use portolan_pbstream::{MessageKind, RawMessage};
 use portolan_pbstream::{PbstreamReader, ReadLimits};
 
-/// Numbers of fields, as in the schema.
+/// Field numbers of the schema.
 const SUBMAP_ID: u32 = 1;
 const SUBMAP_2D: u32 = 2;
 const SUBMAP_3D: u32 = 3;
@@ -26,17 +26,17 @@ const DERIVED_FROM_POSES: u32 = 1000;
 
 type Write<'a> = &'a mut dyn FnMut(Vec<u8>) -> Result<(), EditError>;
 
-/// What is still to be copied.
+/// State while copying the messages after the first three.
 pub(super) struct Rest<'a> {
     submaps: BTreeSet<IdInFile>,
     nodes: BTreeSet<IdInFile>,
     cuts: &'a BTreeMap<i32, (i64, i64)>,
     estimates: &'a BTreeMap<i32, Estimate>,
-    /// The last measurement of a stream before its cut; interpolation at the first node needs it.
+    /// The last measurement of a stream before its cut, which the interpolation at the first node needs.
     held: BTreeMap<(i32, u32), (i64, Vec<u8>)>,
-    /// 3D: samples where no IMU measured, by trajectory.
+    /// 3D: derived IMU samples, by trajectory.
     derived: BTreeMap<i32, DerivedImu>,
-    /// Streams whose first measurement after the cut was written.
+    /// Streams whose first measurement after the cut has been written.
     ended: BTreeSet<(i32, u32)>,
     cleared: &'a [ClearedArea],
     pub cells_cleared: u64,
@@ -73,15 +73,15 @@ impl<'a> Rest<'a> {
         }
     }
 
-    /// Submaps lose their cells in these areas.
+    /// Sets the areas in which cells of submaps are cleared.
     pub fn clear(&mut self, areas: &'a [ClearedArea]) {
         self.cleared = areas;
     }
 
-    /// Copies what is wanted of one file.
+    /// Copies the parts of one file that are in the draft.
     ///
     /// # Errors
-    /// If the file cannot be read, or what is written to fails.
+    /// If the file cannot be read, or if `write` fails.
     pub fn copy(&mut self, source: &Source, limits: ReadLimits, write: Write<'_>) -> Result<(), EditError> {
         let failed = |error| EditError::File { path: source.path.clone(), source: error };
         let mut reader = PbstreamReader::open_with(&source.path, limits).map_err(failed)?;
@@ -98,17 +98,17 @@ impl<'a> Rest<'a> {
                 | MessageKind::LandmarkData => self.measurement(raw, kind, source, write)?,
             }
         }
-        // Streams that end before the cut begins.
+        // Measurements of streams that end before the cut begins.
         for (stream, (time, bytes)) in std::mem::take(&mut self.held) {
             self.write_measured(stream, time, bytes, write)?;
         }
         Ok(())
     }
 
-    /// Writes what belongs after everything that was measured.
+    /// Writes the derived samples after the last measured ones.
     ///
     /// # Errors
-    /// If what is written to fails.
+    /// If `write` fails.
     pub fn finish(&mut self, write: Write<'_>) -> Result<(), EditError> {
         let messages = self.derived.values_mut().flat_map(DerivedImu::rest);
         messages.map(|d| SerializedData { data: Some(Data::ImuData(d)) }.encode_to_vec()).try_for_each(write)
@@ -137,11 +137,11 @@ impl<'a> Rest<'a> {
     ) -> Result<(), EditError> {
         let content = joined(&raw.bytes, kind.tag());
         let id = joined(&content, 1);
-        // Ids are int32: the low half of the number.
+        // Ids are int32: the low half of the varint.
         let (trajectory, index) = (last_varint(&id, 1) as i32, last_varint(&id, 2) as i32);
         let Some(new) = source.ids.get(&trajectory) else { return Ok(()) };
         let wanted = if kind == MessageKind::Submap { &mut self.submaps } else { &mut self.nodes };
-        // Taken out, so that a second one of the same id is not copied.
+        // Removed from the set, so that a second one of the same id is not copied.
         if !wanted.remove(&(*new, index)) {
             return Ok(());
         }
@@ -163,7 +163,7 @@ impl<'a> Rest<'a> {
         write(with_content(raw, kind, &renamed))
     }
 
-    /// The content of a submap that lost cells; none if nothing changed.
+    /// The content of a submap without the cleared cells; none if nothing changed.
     fn without_cleared_cells(
         &mut self,
         id: IdInFile,
@@ -200,7 +200,7 @@ impl<'a> Rest<'a> {
         let origin = pose_from_proto(decoded.fixed_frame_origin_in_map.as_ref());
         let moved = origin.map(|origin| source.map_from_source * origin);
         let estimate = self.estimates.get(new).copied().unwrap_or_default();
-        // What is not changed keeps its digits.
+        // Unchanged poses keep all their digits.
         if let Some(found) = estimate.fixed_frame_origin.or(moved).filter(|found| origin != Some(*found)) {
             data.fixed_frame_origin_in_map = Some(pose_to_proto(&found));
         }
@@ -226,7 +226,7 @@ impl<'a> Rest<'a> {
         write: Write<'_>,
     ) -> Result<(), EditError> {
         let content = joined(&raw.bytes, kind.tag());
-        // Made anew, because nodes may have moved.
+        // Derived samples are computed anew, because nodes may have moved.
         if kind == MessageKind::ImuData && last_varint(&content, DERIVED_FROM_POSES) != 0 {
             return Ok(());
         }
@@ -267,7 +267,7 @@ impl<'a> Rest<'a> {
     }
 }
 
-/// The message with other content of its kind; fields beside it stay.
+/// The message with its content of this kind replaced; other fields stay.
 fn with_content(raw: &RawMessage, kind: MessageKind, content: &[u8]) -> Vec<u8> {
     let mut bytes = without_field(&raw.bytes, kind.tag());
     put_bytes_field(&mut bytes, kind.tag(), content);

@@ -1,4 +1,4 @@
-//! Trajectories removed and renamed; maps cut by time.
+//! Removes and renames trajectories; cuts maps by time.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,10 +9,10 @@ use portolan_pbstream::proto::mapping::pose_graph::constraint::Tag;
 use portolan_pbstream::{IdInFile, node_id, pose_from_proto, submap_id};
 
 impl MapDraft {
-    /// Whether there is such a trajectory.
+    /// Checks that a trajectory exists.
     ///
     /// # Errors
-    /// [`EditError::NoTrajectory`] if not.
+    /// [`EditError::NoTrajectory`] if it does not.
     pub fn require_trajectory(&self, id: i32) -> Result<(), EditError> {
         if self.trajectory_ids().any(|t| t == id) {
             return Ok(());
@@ -21,7 +21,7 @@ impl MapDraft {
         Err(EditError::NoTrajectory { id, known: known.join(", ") })
     }
 
-    /// Leaves only some trajectories, with what hangs on them.
+    /// Removes all other trajectories and all parts that depend on them.
     pub fn retain_trajectories(&mut self, keep: impl Fn(i32) -> bool) {
         let before = self.graph.trajectory.len();
         let removed = self.graph.trajectory.iter().filter(|t| !keep(t.trajectory_id));
@@ -46,10 +46,10 @@ impl MapDraft {
         self.drop_loose_constraints();
     }
 
-    /// Gives trajectories other numbers; those that are not named keep theirs.
+    /// Renumbers trajectories; those that are not in `names` keep their numbers.
     ///
     /// # Errors
-    /// If one is not there, or two would have the same number.
+    /// If one is missing, or if two would have the same number.
     pub fn rename_trajectories(&mut self, names: &BTreeMap<i32, i32>) -> Result<(), EditError> {
         names.keys().try_for_each(|id| self.require_trajectory(*id))?;
         let new = |id: i32| names.get(&id).copied().unwrap_or(id);
@@ -90,14 +90,14 @@ impl MapDraft {
         Ok(())
     }
 
-    /// Time of the first and the last node.
+    /// Times of the first and the last node.
     pub fn time_span(&self) -> Option<(Time, Time)> {
         let times = || self.graph.trajectory.iter().flat_map(|t| t.node.iter().map(|n| n.timestamp));
         Some((Time::from_ticks(times().min()?), Time::from_ticks(times().max()?)))
     }
 
-    /// Leaves only what was seen from `start` to `end`. A submap stays when at least half of the nodes that
-    /// were inserted into it stay; a node stays when one of its submaps does.
+    /// Keeps only nodes from `start` to `end`. A submap stays if at least half of the nodes inserted into it
+    /// stay; a node stays if one of its submaps does.
     ///
     /// # Errors
     /// If nothing would be left.
@@ -114,8 +114,9 @@ impl MapDraft {
         Ok(())
     }
 
-    /// Leaves only some nodes (by trajectory, pose and time), the submaps that mostly hold such, and what
-    /// hangs on them. `keep_empty` decides over submaps without nodes by their poses.
+    /// Keeps only some nodes (by trajectory, pose and time), the submaps at least half of whose nodes are
+    /// kept, and the parts that depend on these. `keep_empty` decides on submaps without nodes by their
+    /// poses.
     pub(super) fn retain_nodes(
         &mut self,
         keep: &dyn Fn(i32, &Rigid3, i64) -> bool,
@@ -148,7 +149,7 @@ impl MapDraft {
         self.retain_parts(&submaps, &nodes)
     }
 
-    /// Submaps of whose nodes at least half are among `nodes`.
+    /// Submaps with at least half of their nodes in `nodes`.
     fn submaps_of_nodes(
         &self,
         nodes: &BTreeSet<IdInFile>,
@@ -198,7 +199,7 @@ impl MapDraft {
         Ok(())
     }
 
-    /// Takes out constraints to what is not there.
+    /// Removes constraints to missing submaps and nodes.
     fn drop_loose_constraints(&mut self) {
         let (mut submaps, mut nodes) = (BTreeSet::new(), BTreeSet::new());
         for trajectory in &self.graph.trajectory {

@@ -1,4 +1,4 @@
-//! What pose graph and options of a file hold besides what is edited: kept as bytes, so that fields of other
+//! Keeps the parts of pose graph and options of a file that are not edited as bytes, so that fields of other
 //! programs survive.
 
 use std::path::Path;
@@ -10,7 +10,7 @@ use portolan_pbstream::wire::{
 };
 use portolan_pbstream::{PbstreamReader, ReadLimits};
 
-/// Numbers of fields, as in the schema.
+/// Field numbers of the schema.
 const CONSTRAINTS_TRAJECTORIES_LANDMARKS: [u32; 3] = [2, 4, 5];
 const OPTIONS_WITH_SENSOR_IDS: u32 = 1;
 const PORTOLAN_CONFIGURATION: u32 = 1000;
@@ -18,7 +18,7 @@ const TRAJECTORY_BUILDER_OPTIONS: u32 = 2;
 const INITIAL_TRAJECTORY_POSE: u32 = 4;
 const TO_TRAJECTORY_ID: u32 = 2;
 
-/// Options and sensors of one trajectory as they stand in the file.
+/// Options and sensors of one trajectory, as bytes of the file.
 #[derive(Clone, Debug, Default)]
 pub(super) struct TrajectoryOptions(Vec<u8>);
 
@@ -27,11 +27,11 @@ impl TrajectoryOptions {
     pub fn start_relative_to(&self) -> Option<i32> {
         let builder = joined(&self.0, TRAJECTORY_BUILDER_OPTIONS);
         let has_start = Fields::new(&builder).any(|f| matches!(f, Ok((INITIAL_TRAJECTORY_POSE, _))));
-        // Numbers are int32: the low half.
+        // Numbers are int32: the low half of the varint.
         has_start.then(|| last_varint(&joined(&builder, INITIAL_TRAJECTORY_POSE), TO_TRAJECTORY_ID) as i32)
     }
 
-    /// Makes the start relative to a trajectory of another number; none takes the start out.
+    /// Makes the start relative to another trajectory; none removes the start.
     pub fn set_start_relative_to(&mut self, trajectory_id: Option<i32>) {
         let builder = joined(&self.0, TRAJECTORY_BUILDER_OPTIONS);
         let mut new = without_field(&builder, INITIAL_TRAJECTORY_POSE);
@@ -45,7 +45,7 @@ impl TrajectoryOptions {
     }
 }
 
-/// The pose graph's and the options' message without what the draft holds.
+/// The messages of pose graph and options without the parts that the draft holds.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Unread {
     in_pose_graph: Vec<u8>,
@@ -55,7 +55,7 @@ pub(super) struct Unread {
 }
 
 impl Unread {
-    /// Reads it from a file, with the options of its trajectories in their order.
+    /// Reads them from a file, with the options of its trajectories in their order.
     ///
     /// # Errors
     /// If the file cannot be read.
@@ -97,7 +97,7 @@ impl Unread {
         message(MessageKind::PoseGraph, &graph, &self.beside_pose_graph)
     }
 
-    /// The message of the options, with what the map was made with as JSON (or empty).
+    /// The message of the options, with the configuration of the map as JSON (or empty).
     pub fn options_message(&self, options: &[TrajectoryOptions], configuration: &str) -> Vec<u8> {
         let mut content = Vec::new();
         for TrajectoryOptions(bytes) in options {

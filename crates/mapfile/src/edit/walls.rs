@@ -1,4 +1,4 @@
-//! The direction of the walls of a building.
+//! Finds the direction of the walls of a building.
 
 use portolan_geometry::NearFrame;
 use portolan_geometry::nalgebra::Point3;
@@ -11,29 +11,29 @@ use crate::paint::PlacedTexture;
 use portolan_pbstream::MapReader;
 use portolan_pbstream::submap_poses;
 
-/// Points of walls beyond this many are thinned out.
+/// Maximum number of wall points; more are thinned out.
 const MAX_POINTS: usize = 100_000;
 /// Width of the stripes in which points are counted, metres.
 const STRIPE: f64 = 0.1;
-/// Steps of the search, degrees.
+/// Angular steps of the search, degrees.
 const COARSE_STEP: f64 = 0.5;
 const FINE_STEP: f64 = 0.05;
-/// The best direction must have so many times the score of the mean one.
+/// Minimum ratio of the score of the best direction to the mean score; dimensionless.
 const MIN_CONTRAST: f64 = 1.08;
-/// Pixels from this alpha on are walls.
+/// Minimum alpha of a pixel of a wall.
 const MIN_ALPHA: u8 = 24;
 
-/// Walls of a common direction (or at right angles to it).
+/// Common direction of the walls (parallel or at right angles to it).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Walls {
     /// Angle of the walls to the x axis, radians, above −π/4 and up to π/4.
     pub angle: f64,
-    /// How many times better this direction is than the mean one.
+    /// Ratio of the score of this direction to the mean score.
     pub contrast: f64,
 }
 
 impl MapDraft {
-    /// Textures of all submaps where they lie now.
+    /// Textures of all submaps at their current poses.
     ///
     /// # Errors
     /// If the files cannot be read.
@@ -55,18 +55,18 @@ impl MapDraft {
         Ok(all)
     }
 
-    /// The direction of the walls in the map as it is now.
+    /// The direction of the walls in the current map.
     ///
     /// # Errors
-    /// If the files cannot be read, or no direction stands out.
+    /// If the files cannot be read, or if there is no distinct direction.
     pub fn walls(&self) -> Result<Walls, EditError> {
         find_walls(&self.textures()?.textures).ok_or(EditError::NoWalls)
     }
 }
 
-/// Finds the direction in which occupied space lies in straight lines: projected along it, the points of
-/// walls fall into few stripes, so that the squares of their counts are large. None where no direction
-/// stands out.
+/// Finds the direction in which occupied space forms straight lines. Projected along it, the points of walls
+/// fall into few stripes, so that the squares of their counts are large. None if there is no distinct
+/// direction.
 pub fn find_walls(textures: &[PlacedTexture]) -> Option<Walls> {
     let points = wall_points(textures);
     if points.len() < 50 {
@@ -87,7 +87,7 @@ pub fn find_walls(textures: &[PlacedTexture]) -> Option<Walls> {
     (contrast >= MIN_CONTRAST).then_some(Walls { angle: wrapped.to_radians(), contrast })
 }
 
-/// Positions of occupied pixels in a frame near the map.
+/// Positions of occupied pixels in a near frame.
 fn wall_points(textures: &[PlacedTexture]) -> Vec<[f64; 2]> {
     let is_wall = |p: &[u8; 2]| p[1] >= MIN_ALPHA;
     let count = |t: &PlacedTexture| t.texture.pixels().iter().filter(|p| is_wall(p)).count();
@@ -119,7 +119,7 @@ fn scores(points: &[[f64; 2]], degrees: &[f64]) -> Vec<f64> {
     degrees.par_iter().map(|d| score(points, d.to_radians())).collect()
 }
 
-/// Sum of the squares of the counts in stripes along and across a direction.
+/// Sum of the squared counts in stripes along and across a direction.
 fn score(points: &[[f64; 2]], angle: f64) -> f64 {
     let (s, c) = angle.sin_cos();
     stripes(points, |[x, y]| c * x + s * y) + stripes(points, |[x, y]| c * y - s * x)
@@ -132,7 +132,8 @@ fn stripes(points: &[[f64; 2]], project: impl Fn([f64; 2]) -> f64) -> f64 {
     if min > max {
         return 0.0;
     }
-    // Shared between neighbours, so that the borders of stripes do not matter. Positions are below 1e5 m.
+    // Each point is shared between neighbouring stripes, so that the borders do not matter. Positions are
+    // below 1e5 m.
     let mut counts = vec![0.0_f64; (max - min) as usize + 2];
     for value in values {
         let (index, part) = ((value - min) as usize, (value - min).fract());
@@ -149,7 +150,7 @@ fn best(angles: &[f64], scores: &[f64]) -> Option<(f64, usize)> {
     Some((*angles.get(index)?, index))
 }
 
-/// Where the parabola through a value and its neighbours is highest, in steps.
+/// Position of the maximum of the parabola through a value and its neighbours, relative to the value, in steps.
 fn vertex_of_parabola(values: &[f64], at: usize) -> f64 {
     let (Some(before), Some(value), Some(after)) =
         (at.checked_sub(1).and_then(|i| values.get(i)), values.get(at), values.get(at + 1))
@@ -166,7 +167,7 @@ mod tests {
     use crate::texture::SubmapTexture;
     use portolan_geometry::{Rigid3, Vector3};
 
-    /// A room of 10 m by 6 m, turned by `degrees`.
+    /// A room of 10 m by 6 m, rotated by `degrees`.
     fn room(degrees: f64) -> PlacedTexture {
         let (width, height) = (120, 200);
         let wall = |i: usize| {

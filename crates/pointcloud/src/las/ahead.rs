@@ -1,5 +1,6 @@
-//! Reading on a thread with much stack: on damaged times of points the decompressor of the library calls itself once for
-//! every few bits of the file, and a stack that overflows ends the process. So reading fails well before that.
+//! Reads on a thread with a large stack. On damaged times of points the decompressor of the library recurses
+//! once for every few bits of the file, and a stack overflow would abort the process. Reading therefore fails
+//! well before.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -12,21 +13,22 @@ use crate::format::CloudReader;
 
 use super::{open_here, shallow};
 
-/// Only what is used of it is ever taken.
+/// Size of the stack of the thread, bytes. Only the used part takes memory.
 const STACK: usize = 64 << 20;
-/// Reading fails when so much of it is used. Between two bytes of the file the decompressor takes far less than the rest.
+/// Stack depth at which reading fails, bytes. Between two bytes of the file the decompressor uses far less
+/// than the rest.
 pub(super) const DEEPEST: usize = 24 << 20;
 
-/// What the thread sends.
+/// Messages of the thread.
 enum ReaderMessage {
-    /// The file is open: what its points have, and how many there are.
+    /// The file is open: attributes and number of its points.
     Opened(Attributes, Option<u64>),
-    /// Points, none at the end, and all issues so far.
+    /// A batch of points, empty at the end, and all issues so far.
     Points(PointCloud, Vec<Issue>),
     Failed(CloudError),
 }
 
-/// A file that is read on the thread.
+/// Reads a file on the thread.
 struct LasPoints {
     path: PathBuf,
     attributes: Attributes,
@@ -57,7 +59,7 @@ pub(crate) fn open(path: &Path) -> Result<Box<dyn CloudReader>, CloudError> {
     }
 }
 
-/// Sends everything of a file; ends early when nobody listens any more.
+/// Sends all points of a file; ends early if the receiver was dropped.
 fn read(path: &Path, sender: &SyncSender<ReaderMessage>) -> Option<()> {
     let send = |message: ReaderMessage| sender.send(message).ok();
     let mut reader = match open_here(path) {

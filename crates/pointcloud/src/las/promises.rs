@@ -1,4 +1,4 @@
-//! What a file says of its own size, checked against its length: the library takes memory for as much as it is told.
+//! Checks the sizes stated in a file against its length: the library allocates as much memory as a file states.
 
 use std::io::{Read, Seek, SeekFrom};
 
@@ -6,10 +6,10 @@ use las::{Header, raw};
 
 /// Bytes of an extended record before its data.
 const EVLR_HEAD: u64 = 60;
-/// The first bytes of the record that says how points are compressed, for points one behind the other without chunks.
+/// First bytes of the record that describes the compression, for points in sequence without chunks.
 const WITHOUT_CHUNKS: [u8; 2] = [1, 0];
 
-/// What a file of so many bytes promises and cannot have; none if there is room for everything.
+/// First stated size that cannot be in a file of this length, bytes, as text; none if all sizes are possible.
 ///
 /// # Errors
 /// The file cannot be read, or its header is damaged.
@@ -28,7 +28,7 @@ pub(super) fn beyond_the_file(file: &mut (impl Read + Seek), bytes: u64) -> las:
         return Ok(None);
     }
     let Some((table, chunks)) = chunk_table(file, offset, bytes)? else { return Ok(None) };
-    // The first point of a chunk is not compressed; behind the last whole chunk there may be an empty one.
+    // The first point of a chunk is not compressed; after the last full chunk there may be an empty one.
     let room = table.saturating_sub(offset) / u64::from(header.point_format().len().max(1)) + 1;
     Ok((u64::from(chunks) > room).then(|| {
         format!("its table promises {chunks} chunks of points, but there is room for {room} at most")
@@ -60,25 +60,26 @@ fn is_without_chunks(header: &Header) -> bool {
     records.next().is_some_and(|vlr| vlr.data.starts_with(&WITHOUT_CHUNKS))
 }
 
-/// Where the table of chunks is and how many it promises; none where there is none, which the library survives.
+/// Offset of the table of chunks and number of chunks it states; none if there is no table, which the library
+/// handles.
 fn chunk_table(
     file: &mut (impl Read + Seek),
     offset: u64,
     bytes: u64,
 ) -> std::io::Result<Option<(u64, u32)>> {
-    // A writer that could not go back says it at the end of the file.
+    // A writer that cannot seek back writes the offset at the end of the file.
     for place in [offset, bytes.saturating_sub(8)] {
         if bytes.saturating_sub(place) < 8 {
             return Ok(None);
         }
         file.seek(SeekFrom::Start(place))?;
         let table = number(file)?;
-        // As the library reads it: negative is none.
+        // Interpreted as by the library: a negative offset means no table.
         if table.cast_signed() > offset.cast_signed() {
             if bytes.saturating_sub(table) < 8 {
                 return Ok(None);
             }
-            // Its version stands before.
+            // The version precedes the number of chunks.
             file.seek(SeekFrom::Start(table))?;
             return Ok(Some((table, (number(file)? >> 32) as u32)));
         }

@@ -1,24 +1,24 @@
-//! A place to write to that remembers its first error.
+//! A writer that stores its first error.
 
 use std::io::{Error, Seek, SeekFrom, Write};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Writes until something fails; from then on nothing is written and nothing fails, because the library completes
-/// its file whenever it is dropped, and panics if that does not succeed.
+/// Writes until an error occurs. After it nothing is written and no error is returned, because the library
+/// completes its file whenever it is dropped, and panics if that fails.
 pub(super) struct Remembering<W> {
     inner: W,
     failure: Failure,
-    /// Where it would be if nothing had failed: the library calculates with it.
+    /// Position as if no error had occurred: the library uses it for calculations.
     position: u64,
     length: u64,
 }
 
-/// The first error of a [`Remembering`], wherever that is.
+/// The first error of a [`Remembering`], shared with other owners.
 #[derive(Clone, Default)]
 pub(super) struct Failure(Arc<Mutex<Option<Error>>>);
 
 impl Failure {
-    /// The first error, if there was one; asked again, only its kind.
+    /// The first error, if there was one. Later calls return only its kind.
     pub fn get(&self) -> Option<Error> {
         let mut first = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let kind = first.as_ref().map(|error| Error::from(error.kind()));

@@ -1,29 +1,30 @@
-//! A reader that fails where the stack of its thread has grown too far.
+//! A reader that fails when the stack of its thread has grown too far.
 //!
-//! On damaged times of points the decompressor of the library calls itself once for every few bits of the file. It reads a byte
-//! now and then meanwhile: that is where it can be ended before the stack overflows, which would end the process.
+//! On damaged times of points the decompressor of the library recurses once for every few bits of the file.
+//! It reads a byte now and then meanwhile. That read fails before the stack overflows, which would abort the
+//! process.
 
 use std::cell::Cell;
 use std::io::{self, Read, Seek, SeekFrom};
 
 thread_local! {
-    /// Where the stack was when the thread began to read.
+    /// Address of the stack when the thread began to read.
     static BEGIN: Cell<Option<usize>> = const { Cell::new(None) };
 }
 
-/// Takes note of where the stack of this thread is. Only threads that did are bounded.
+/// Stores the address of the stack of this thread. Only threads that called it are limited.
 pub(super) fn begin() {
     BEGIN.set(Some(here()));
 }
 
-/// About where the stack is.
+/// Approximate address of the stack.
 #[inline(never)]
 fn here() -> usize {
     let marker = 0_u8;
     std::hint::black_box(&raw const marker).addr()
 }
 
-/// Fails to read when more than so many bytes of stack are in use.
+/// Fails to read when more than `most` bytes of the stack are in use.
 #[derive(Debug)]
 pub(super) struct Shallow<R> {
     inner: R,
@@ -56,7 +57,7 @@ impl<R: Seek> Seek for Shallow<R> {
 mod tests {
     use super::*;
 
-    /// Reads a byte at each level of as many calls.
+    /// Reads a byte at each of `levels` levels of recursion.
     fn read_deep(reader: &mut dyn Read, levels: usize) -> io::Result<usize> {
         let mut room = [0_u8; 1024];
         reader.read_exact(&mut room[..1])?;

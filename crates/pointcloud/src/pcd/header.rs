@@ -1,15 +1,15 @@
-//! The header of a PCD file.
+//! Reads the header of a PCD file.
 
 use crate::error::CloudError;
 use crate::fields::{Column, Columns, Role, Scalar};
 use crate::input::Input;
 
-/// Headers are not longer.
+/// Maximum number of lines of a header.
 const MAX_LINES: usize = 200;
-/// Points are not longer, bytes.
+/// Maximum size of a point, bytes.
 const MAX_POINT: usize = 1 << 16;
 
-/// How points are stored.
+/// Encoding of the points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Data {
     Ascii,
@@ -25,7 +25,7 @@ pub(super) struct Field {
     pub count: usize,
 }
 
-/// What a header says.
+/// Content of a header.
 #[derive(Clone, Debug)]
 pub(super) struct Header {
     pub fields: Vec<Field>,
@@ -43,11 +43,11 @@ pub(crate) fn sniff(start: &[u8]) -> bool {
 }
 
 impl Header {
-    /// Reads a header; the input stands behind it afterwards.
+    /// Reads a header; afterwards the input is at the first byte after it.
     ///
     /// # Errors
-    /// Reading fails, or the header is damaged: it has no `DATA`, no number of points, unequal lists of fields, a kind of value that is
-    /// not known, or points of an unlikely size.
+    /// Reading fails, or the header is damaged: it has no `DATA`, no number of points, lists of fields of
+    /// different lengths, an unknown type, or points of an implausible size.
     pub fn read(input: &mut Input) -> Result<Self, CloudError> {
         let path = input.path.clone();
         let bad = |what: &str| CloudError::damaged(&path, format!("its header {what}"));
@@ -90,12 +90,12 @@ impl Header {
         Err(bad("has no DATA"))
     }
 
-    /// Bytes of a point.
+    /// Size of a point, bytes.
     pub fn point_bytes(&self) -> usize {
         self.fields.iter().map(|f| f.scalar.bytes() * f.count).sum()
     }
 
-    /// Columns with a meaning; `at` is the place among the values (ascii) or in bytes.
+    /// Columns of known meaning; `at` is the index among the values (ascii) or the offset in bytes.
     pub fn columns(&self) -> Option<Columns> {
         let (mut at, mut columns) = (0, Vec::new());
         for field in &self.fields {
@@ -128,7 +128,7 @@ fn fields(names: &[String], sizes: &[String], types: &[String], counts: &[String
             ("U", "8") => Scalar::U64,
             _ => return None,
         };
-        // Padding is called _.
+        // Padding is named `_`.
         Some(Field { role: Role::of(names.get(i)?), scalar, count: count.min(1 << 16) })
     };
     (0..names.len()).map(field).collect()

@@ -2,12 +2,12 @@
 
 use std::io::{self, Read};
 
-/// How far back copies reach.
+/// Maximum distance of copies, bytes.
 const WINDOW: usize = 1 << 13;
 const LONGEST_COPY: usize = 264;
 const HASH_BITS: u32 = 14;
 
-/// Compresses a block; blocks may follow each other. Appends to `out`.
+/// Compresses a block and appends it to `out`; blocks may follow each other.
 pub(super) fn compress(block: &[u8], out: &mut Vec<u8>) {
     let mut table = vec![usize::MAX; 1 << HASH_BITS];
     let (mut at, mut literals) = (0, 0);
@@ -46,10 +46,10 @@ fn push_literals(bytes: &[u8], out: &mut Vec<u8>) {
     }
 }
 
-/// Decompresses a stream piece by piece, in bounded memory.
+/// Decompresses a stream in pieces, in bounded memory.
 pub(super) struct Decompressor<R> {
     input: R,
-    /// The last bytes that came out, in a ring.
+    /// Ring buffer of the last bytes of output.
     window: Vec<u8>,
     at: usize,
     written: u64,
@@ -63,7 +63,7 @@ impl<R: Read> Decompressor<R> {
     /// Appends at least one byte to `out`; false at the end of the input.
     ///
     /// # Errors
-    /// Reading fails, the input ends within a step, or a copy reaches before the start.
+    /// Reading fails, the input ends within a step, or a copy starts before the first byte.
     pub fn next_into(&mut self, out: &mut Vec<u8>) -> io::Result<bool> {
         let Some(control) = self.byte_or_end()? else { return Ok(false) };
         if control < 32 {

@@ -1,4 +1,4 @@
-//! Point Cloud Data of PCL: ascii, binary, and binary_compressed.
+//! Reads and writes Point Cloud Data of PCL: ascii, binary, and binary_compressed.
 
 mod header;
 mod lzf;

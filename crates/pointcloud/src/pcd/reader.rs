@@ -1,4 +1,4 @@
-//! Reading PCD files.
+//! Reads PCD files.
 
 use std::io::{BufReader, Read};
 use std::path::Path;
@@ -30,7 +30,8 @@ pub(crate) struct PcdReader {
 
 impl PcdReader {
     /// # Errors
-    /// Reading fails, the header is damaged or has no x, y and z, or compressed points are cut off, damaged, or cannot be unpacked to disk.
+    /// Reading fails, the header is damaged or has no x, y and z, or compressed points are incomplete,
+    /// damaged, or cannot be decompressed to disk.
     pub fn open(mut input: Input) -> Result<Self, CloudError> {
         let path = input.path.clone();
         let path = path.as_path();
@@ -51,7 +52,7 @@ impl PcdReader {
             Data::Compressed => {
                 let wanted = total.saturating_mul(row);
                 let spool = unpack(&mut input, path, wanted)?;
-                // Whole columns are missing then, so that no point is complete.
+                // Points are stored column by column: if bytes are missing no point is complete.
                 if spool.length() < wanted {
                     return Err(CloudError::damaged(path, "its compressed points are cut off"));
                 }
@@ -88,7 +89,7 @@ impl PcdReader {
         } else {
             let got = self.input.fill(&mut self.bytes)?;
             if got < self.bytes.len() {
-                // Of a pipe it shows only now.
+                // In a pipe a missing end is found only here.
                 self.bytes.truncate(got);
                 let there = self.next + (got / row_bytes.max(1)) as u64;
                 self.issues.count(IssueKind::CloudPointsMissing, self.total.saturating_sub(there));
@@ -104,7 +105,7 @@ impl PcdReader {
         Ok(())
     }
 
-    /// Puts rows together from the columns.
+    /// Assembles rows from the columns.
     fn gather(&mut self, count: u64) -> Result<(), CloudError> {
         let Some(spool) = &mut self.unpacked else { return Ok(()) };
         let row_bytes = self.header.point_bytes();

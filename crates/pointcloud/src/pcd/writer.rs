@@ -1,4 +1,4 @@
-//! Writing PCD files.
+//! Writes PCD files.
 
 use std::path::Path;
 
@@ -11,9 +11,9 @@ use crate::format::{CloudWriter, Encoding, Precision, WriteOptions, Written};
 use crate::output::{Output, Spool, folder_of};
 use crate::ply::push_bytes;
 
-/// The header is written at last; a comment fills what is left of this, bytes.
+/// Size of the header, bytes. It is written last; a comment pads it to this size.
 const HEADER_BYTES: usize = 512;
-/// Columns are compressed in blocks of this size.
+/// Size of the blocks in which columns are compressed, bytes.
 const BLOCK: usize = 1 << 18;
 
 /// Writes points.
@@ -22,17 +22,18 @@ pub(crate) struct PcdWriter {
     attributes: Attributes,
     encoding: Encoding,
     precision: Precision,
-    /// Whether coordinates are in double precision; not final before the first point.
+    /// Whether coordinates are in double precision; determined at the first point.
     is_double: bool,
     bytes: Vec<u8>,
-    /// One for each column of a compressed file.
+    /// One spool for each column of a compressed file.
     columns: Vec<Spool>,
     written: Written,
 }
 
 impl PcdWriter {
     /// # Errors
-    /// The file, or temporary ones for its columns, cannot be made in the folder, or the header cannot be written.
+    /// The file, or temporary ones for its columns, cannot be created in the folder, or the header cannot be
+    /// written.
     pub fn create(path: &Path, attributes: Attributes, options: &WriteOptions) -> Result<Self, CloudError> {
         let mut writer = Self {
             output: Output::create(path)?,
@@ -55,7 +56,8 @@ impl PcdWriter {
         Ok(writer)
     }
 
-    /// Far from the origin single precision would lose decimetres: there coordinates are double, unless somebody wants otherwise.
+    /// Chooses double precision far from the origin, where single precision would lose decimetres, unless the
+    /// options set the precision.
     fn choose_precision(&mut self, batch: &PointCloud) {
         if self.written.points > 0 || self.precision != Precision::Usual {
             return;
@@ -65,7 +67,7 @@ impl PcdWriter {
         self.is_double = first.is_some_and(|place| !NearFrame::around([place]).is_map());
     }
 
-    /// Bytes of each column.
+    /// Size of a value in each column, bytes.
     fn column_bytes(&self) -> Vec<usize> {
         let mut bytes = vec![if self.is_double { 8 } else { 4 }; 3];
         bytes.extend(self.attributes.intensity.then_some(4));
@@ -115,7 +117,7 @@ impl PcdWriter {
         debug_assert_eq!(self.bytes.len() - start, self.column_bytes().iter().sum::<usize>());
     }
 
-    /// Parts rows into columns.
+    /// Splits rows into columns.
     fn scatter(&mut self) -> Result<(), CloudError> {
         let sizes = self.column_bytes();
         let row: usize = sizes.iter().sum();
@@ -133,7 +135,7 @@ impl PcdWriter {
         Ok(())
     }
 
-    /// Appends the columns, compressed, with both sizes in front.
+    /// Appends the compressed columns, preceded by both sizes.
     fn append_columns(&mut self) -> Result<(), CloudError> {
         let unpacked: u64 = self.columns.iter().map(Spool::length).sum();
         let path = self.output.path.clone();
@@ -163,7 +165,7 @@ impl PcdWriter {
     }
 }
 
-/// A point as text; colours are one whole number.
+/// A point as text; its colour is one whole number.
 fn push_text(text: &mut String, cloud: &PointCloud, index: usize, attributes: Attributes) {
     crate::xyz::push_text(text, cloud, index, Attributes { color: false, ..attributes });
     if attributes.color {

@@ -1,4 +1,4 @@
-//! Sorted runs of cells in a temporary file, and their merging.
+//! Writes sorted runs of cells to a temporary file, and merges them.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -10,9 +10,9 @@ use super::VoxelPoint;
 use crate::error::CloudError;
 use crate::output::Spool;
 
-/// Bytes of a cell in the file.
+/// Size of a cell in the file, bytes.
 const CELL_BYTES: usize = 60;
-/// Cells that are read at a time of each run.
+/// Number of cells of each run that are read at a time.
 const CELLS_AT_ONCE: u64 = 1024;
 
 /// Sums over the points of a voxel. Positions are in voxels from its lower corner.
@@ -65,7 +65,7 @@ impl Cell {
         bytes.extend(self.count.to_le_bytes());
     }
 
-    /// Of a whole record, as the buffers of runs hold them.
+    /// Decodes a whole record of a buffer of a run.
     fn decode(bytes: &[u8]) -> (Key, Self) {
         fn part<const N: usize>(bytes: &[u8], at: usize) -> [u8; N] {
             let mut value = [0; N];
@@ -86,15 +86,15 @@ impl Cell {
     }
 }
 
-/// All runs, one behind the other in one file.
+/// All runs, in sequence in one file.
 pub(super) struct Runs {
     folder: PathBuf,
     file: Option<Spool>,
-    /// Start and end of each, in cells.
+    /// Start and end of each run, in cells.
     spans: Vec<(u64, u64)>,
 }
 
-/// A run while it is read.
+/// State while reading a run.
 struct RunReader {
     next: u64,
     end: u64,
@@ -121,7 +121,7 @@ impl RunReader {
 }
 
 impl Runs {
-    /// None yet; the first makes a file in this folder.
+    /// No runs; the first one creates a file in this folder.
     pub fn in_folder(folder: &Path) -> Self {
         Self { folder: folder.to_owned(), file: None, spans: Vec::new() }
     }
@@ -133,7 +133,7 @@ impl Runs {
     /// Appends a run of cells in ascending order.
     ///
     /// # Errors
-    /// The temporary file cannot be made or written.
+    /// The temporary file cannot be created or written.
     pub fn write(&mut self, cells: &[(Key, Cell)]) -> Result<(), CloudError> {
         let failed = |e| CloudError::temporary(&self.folder, e);
         let file = match &mut self.file {
@@ -151,10 +151,10 @@ impl Runs {
         Ok(())
     }
 
-    /// Visits all cells in ascending order; those of one voxel are joined in the order of their runs.
+    /// Visits all cells in ascending order; cells of one voxel are added up in the order of their runs.
     ///
     /// # Errors
-    /// The temporary file cannot be read, or the first error of `visit`.
+    /// The temporary file cannot be read, or `visit` fails.
     pub fn merge(
         &mut self,
         visit: &mut dyn FnMut(&Key, &Cell) -> Result<(), CloudError>,

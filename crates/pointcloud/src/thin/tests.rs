@@ -52,7 +52,7 @@ fn voxels_have_the_means_of_their_points() {
     }
 }
 
-/// However little memory there is, the voxels are the same to rounding, and the same bytes each time.
+/// The size of memory changes voxels only by rounding, and the same size always gives the same bytes.
 #[test]
 fn memory_does_not_change_the_cloud() {
     let all = thinned(usize::MAX);
@@ -67,7 +67,7 @@ fn memory_does_not_change_the_cloud() {
     }
 }
 
-/// Runs wait where they are told to, and where that cannot be the folder is named.
+/// Runs are written to the given folder; if that fails, the error names it.
 #[test]
 fn runs_wait_in_the_folder_that_is_given() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,13 +1,13 @@
-//! Which way the beams of a scan point, and how far they see.
+//! Beam directions and range limits of the scans of a CARMEN log.
 
 use std::f64::consts::PI;
 
 use super::line::{LaserConfig, LaserKind};
 use super::survey::Survey;
 
-/// Farthest that the SICK scanners of the old format measure, metres.
+/// Maximum range of the SICK scanners of the old format, metres.
 const SICK_MAXIMUM: f32 = 80.0;
-/// Nearest reading that is one, metres.
+/// Smallest valid reading, metres.
 pub(crate) const MINIMUM_RANGE: f32 = 0.02;
 
 /// Angles and limits of a scan.
@@ -17,7 +17,7 @@ pub(crate) struct ScanGeometry {
     pub start: f64,
     /// Radians from beam to beam.
     pub increment: f64,
-    /// Largest reading that is not "nothing seen", metres.
+    /// Largest reading that is a return, metres; larger ones mean "no return".
     pub range_max: f32,
 }
 
@@ -28,8 +28,8 @@ impl ScanGeometry {
     }
 }
 
-/// The geometry of a scan of `count` readings: as the line says, or as the parameters of the log say,
-/// or as scanners with that many beams have it.
+/// The geometry of a scan of `count` readings: from the line itself, else from the parameters of the log,
+/// else that of the usual scanners with that number of beams.
 pub(crate) fn scan_geometry(
     kind: LaserKind,
     config: Option<&LaserConfig>,
@@ -65,7 +65,7 @@ fn configured(config: &LaserConfig, count: usize) -> ScanGeometry {
     ScanGeometry { start: config.start_angle, increment, range_max }
 }
 
-/// `laser_front_laser_fov` and `…_resolution` (degrees), if both are there and fit the readings.
+/// `laser_front_laser_fov` and `…_resolution` (degrees), if both are given and fit the number of readings.
 fn declared(side: &str, count: usize, survey: &Survey) -> Option<(f64, f64)> {
     let field_of_view = survey.number(&format!("laser_{side}_laser_fov"))?;
     let resolution = survey.number(&format!("laser_{side}_laser_resolution"))?;
@@ -74,25 +74,25 @@ fn declared(side: &str, count: usize, survey: &Survey) -> Option<(f64, f64)> {
     fits.then(|| (-field_of_view.to_radians() / 2.0, resolution.to_radians()))
 }
 
-/// Start and increment of the scanners that have this many beams.
+/// Start angle and increment (radians) of the usual scanner with this number of beams.
 fn usual(count: usize) -> (f64, f64) {
     let degrees =
         |field_of_view: f64, increment: f64| (-field_of_view.to_radians() / 2.0, increment.to_radians());
     match count {
-        // SICK LMS with 100° at a degree, half of one and a quarter.
+        // SICK LMS with a field of view of 100°, at 1°, 0.5° and 0.25°.
         101 => degrees(100.0, 1.0),
         201 => degrees(100.0, 0.5),
         401 => degrees(100.0, 0.25),
-        // Hokuyo with 270°.
+        // Hokuyo with a field of view of 270°.
         541 => degrees(270.0, 0.5),
         1081 => degrees(270.0, 0.25),
-        // Hokuyo URG with 1024 steps a revolution, looking ahead with the middle one.
+        // Hokuyo URG with 1024 steps per revolution; the middle beam points straight ahead.
         682 | 683 => (-340.0 * PI / 512.0, PI / 512.0),
         726 => (-363.0 * PI / 512.0, PI / 512.0),
         769 => (-384.0 * PI / 512.0, PI / 512.0),
-        // Half a turn, with a beam at both ends …
+        // A field of view of 180° with a beam at both ends.
         count if count % 2 == 1 && count > 1 => (-PI / 2.0, PI / (count - 1) as f64),
-        // … or with the last beam left out.
+        // A field of view of 180° without the last beam.
         count => (-PI / 2.0, PI / count.max(1) as f64),
     }
 }

@@ -1,4 +1,4 @@
-//! The lines of a CARMEN log.
+//! Parses the lines of a CARMEN log.
 //!
 //! One message per line: `name contents… ipc_time host logger_time`.
 //!
@@ -15,7 +15,7 @@
 
 use std::str::SplitAsciiWhitespace;
 
-/// The scanner a line comes from.
+/// The scanner that a line comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum LaserKind {
     /// `FLASER`: the front scanner, geometry not given.
@@ -28,7 +28,7 @@ pub(crate) enum LaserKind {
     Raw(u8),
 }
 
-/// What a scanner says about itself.
+/// The configuration of a scanner as its lines give it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct LaserConfig {
     /// Radians.
@@ -37,7 +37,7 @@ pub(crate) struct LaserConfig {
     pub field_of_view: f64,
     /// Radians between beams.
     pub resolution: f64,
-    /// Metres; readings at or above it saw nothing.
+    /// Metres; readings at or above it are not returns.
     pub maximum_range: f64,
 }
 
@@ -49,7 +49,7 @@ pub(crate) type Pose2d = [f64; 3];
 pub(crate) struct LaserLine {
     pub kind: LaserKind,
     pub config: Option<LaserConfig>,
-    /// How many readings there are; `ranges` is empty if they were not asked for.
+    /// Number of readings; `ranges` is empty if they were not requested.
     pub count: usize,
     pub ranges: Vec<f32>,
     pub remissions: Vec<f32>,
@@ -57,33 +57,33 @@ pub(crate) struct LaserLine {
     pub poses: Option<(Pose2d, Pose2d)>,
 }
 
-/// The times of a line as they stand there.
+/// The times of a line, as text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct LineTimes<'a> {
     /// When the message was sent.
     pub ipc: &'a str,
-    /// Seconds since the log was begun.
+    /// Seconds since the start of the log.
     pub logger: Option<&'a str>,
 }
 
-/// What a line says.
+/// The content of a line.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Line<'a> {
     /// Empty or a comment.
     Nothing,
     /// A parameter of the robot.
     Param { name: &'a str, value: &'a str },
-    /// Pose of the robot by its wheels.
+    /// Pose of the robot from its wheel odometry.
     Odometry { pose: Pose2d, times: LineTimes<'a> },
     /// A scan.
     Laser { laser: LaserLine, times: LineTimes<'a> },
     /// A kind of message that mapping does not need.
     Unused(&'a str),
-    /// Cannot be understood.
+    /// Not parsable.
     Bad,
 }
 
-/// Understands one line. Ranges are only converted if `with_ranges`.
+/// Parses one line. Ranges are only converted if `with_ranges`.
 pub(crate) fn parse_line(line: &[u8], with_ranges: bool) -> Line<'_> {
     let Ok(text) = std::str::from_utf8(line) else { return Line::Bad };
     let mut tokens = text.split_ascii_whitespace();
@@ -161,7 +161,7 @@ fn parse_laser<'a>(
     Some(Line::Laser { laser, times: parse_times(tokens)? })
 }
 
-/// A count and that many readings.
+/// Parses a count and that number of readings.
 fn readings(tokens: &mut SplitAsciiWhitespace, with_values: bool) -> Option<(usize, Vec<f32>)> {
     let count: usize = tokens.next()?.parse().ok()?;
     let mut values = Vec::new();

@@ -1,5 +1,5 @@
-//! CARMEN logs (`.log`, `.clf`, also as `.gz` or `.bz2`), given as the ROS recording of the same
-//! robot would be: `/scan`, `/odom`, `/tf_static`.
+//! Reads CARMEN logs (`.log`, `.clf`, also as `.gz` or `.bz2`). They appear like a ROS recording of the same
+//! robot, with the topics `/scan`, `/odom` and `/tf_static`.
 
 mod geometry;
 mod line;
@@ -25,14 +25,14 @@ pub enum TimeColumn {
     /// When the message was sent.
     #[default]
     Ipc,
-    /// When the logger wrote it, counted from the start of the log.
+    /// When the logger wrote it, seconds since the start of the log.
     Logger,
 }
 
 /// How to read a CARMEN log.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CarmenOptions {
-    /// Where stamps come from. A column that stands still all the time is replaced by the other one.
+    /// The column of the stamps. A column whose time never changes is replaced by the other one.
     pub time_column: TimeColumn,
 }
 
@@ -42,28 +42,28 @@ struct Scanner {
     kind: LaserKind,
     topic: Arc<str>,
     frame: Arc<str>,
-    /// The scanner on the robot; none if the log does not say.
+    /// Pose of the scanner on the robot; none if the log does not give it.
     mounting: Option<Pose2d>,
     count: u64,
 }
 
-/// Where odometry comes from.
+/// Where odometry is read from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum OdometrySource {
     /// `ODOM` lines.
     OwnLines,
-    /// Logs without those carry it in the lines of this scanner.
+    /// Lines of this scanner, in logs without `ODOM` lines.
     Scans(LaserKind),
 }
 
-/// What becomes of the lines; fixed after the first look at the log.
+/// How lines become messages; fixed after the first pass over the log.
 #[derive(Debug)]
 struct Layout {
     survey: Survey,
     clock: Clock,
     scanners: Vec<Scanner>,
     odometry: Option<OdometrySource>,
-    /// The order of the lines is believed, not their stamps.
+    /// Messages keep the order of the lines, because the stamps are not reliable.
     in_order_of_lines: bool,
     first_time: Time,
 }
@@ -75,7 +75,7 @@ pub struct CarmenLog {
     time_range: (Time, Time),
 }
 
-/// Whether text begins like a CARMEN log.
+/// Whether a text begins like a CARMEN log.
 pub fn looks_like_carmen(prefix: &[u8]) -> bool {
     prefix.split(|b| *b == b'\n').take(2000).any(|line| {
         line.starts_with(b"# CARMEN Logfile")
@@ -85,7 +85,7 @@ pub fn looks_like_carmen(prefix: &[u8]) -> bool {
 }
 
 impl CarmenLog {
-    /// Opens a log and looks through it once. Fails if it holds neither a scan nor odometry.
+    /// Opens a log and reads it once. Fails if it has neither scans nor odometry.
     pub fn open(path: &Path, options: CarmenOptions) -> Result<Self, RecordingError> {
         Self::of(TextFile::open(path)?, options)
     }
@@ -109,7 +109,7 @@ impl CarmenLog {
         let in_order_of_lines = survey.has_disturbed_stamps(clock);
         let with_scans = scanners.iter().map(|s| s.kind).find(|k| !matches!(k, LaserKind::Raw(_)));
         let odometry = match with_scans {
-            // What stands in the line of a scan belongs to it, whatever its stamp says.
+            // The odometry in the line of a scan belongs to that scan, even if its stamp is wrong.
             Some(kind) if in_order_of_lines || survey.odometry_lines == 0 => {
                 Some(OdometrySource::Scans(kind))
             }
@@ -122,7 +122,7 @@ impl CarmenLog {
     }
 }
 
-/// Picks one source for each scanner: the newer and richer format where a log has both.
+/// Chooses one source for each scanner: the newer and richer format where a log has both.
 fn scanners(survey: &Survey) -> Vec<Scanner> {
     let mut by_number: BTreeMap<u8, LaserKind> = BTreeMap::new();
     for kind in survey.kinds() {
@@ -144,7 +144,7 @@ fn scanners(survey: &Survey) -> Vec<Scanner> {
     by_number.into_iter().map(scanner).collect()
 }
 
-/// Number of the scanner, and which of its formats is best (lowest).
+/// Number of the scanner, and the rank of the format of its lines (the lowest is the best).
 fn rank(kind: LaserKind) -> (u8, u8) {
     match kind {
         LaserKind::Front => (1, 1),

@@ -19,17 +19,17 @@ use portolan_issue::{Issue, IssueKind, IssueLog};
 
 const MAX_UNUSED_KINDS: usize = 50;
 
-/// Messages that wait for their place, with the index of their topic.
+/// A message that waits for its place in the order of time, with the index of its topic.
 type Waiting = (usize, Message);
 
-/// A topic that the log gives.
+/// A topic of the log.
 struct Output {
     topic: Arc<str>,
     is_wanted: bool,
     last: Option<Message>,
 }
 
-/// Place of odometry among the topics; the scanners follow.
+/// Index of odometry among the topics; the scanners follow.
 const ODOMETRY: usize = 0;
 
 pub(super) struct CarmenReader {
@@ -39,10 +39,10 @@ pub(super) struct CarmenReader {
     ended: bool,
 }
 
-/// Makes messages of lines, and holds them until their place is certain.
+/// Turns lines into messages, and holds each until its place in the order of time is certain.
 struct MessageQueue {
     layout: Arc<Layout>,
-    /// In the order in which messages of the same time stand: odometry, then the scanners.
+    /// In the order of messages with equal times: odometry, then the scanners.
     outputs: Vec<Output>,
     frames: Frames,
     reorder: Reorder<Waiting>,
@@ -89,7 +89,7 @@ impl CarmenReader {
         })
     }
 
-    /// Reads one line. False at the end.
+    /// Reads one line; false at the end.
     fn advance(&mut self) -> Result<bool, RecordingError> {
         if let Some(line) = self.lines.next_line()? {
             self.queue.add_line(line);
@@ -125,7 +125,7 @@ impl MessageQueue {
         }
     }
 
-    /// Adds a pose of odometry, if poses are taken from there.
+    /// Adds an odometry pose, if `source` is the chosen source.
     fn add_odometry(&mut self, source: OdometrySource, stamp: Time, pose: Pose2d) {
         if self.wants(ODOMETRY) && self.layout.odometry == Some(source) {
             let message = odometry(stamp, pose, &self.frames);
@@ -160,7 +160,7 @@ impl MessageQueue {
         }
     }
 
-    /// The next message if its place is certain, or `at_end`.
+    /// The next message, if its place is certain or `at_end`.
     fn pop(&mut self, at_end: bool) -> Option<RecordedMessage> {
         loop {
             let (log_time, (topic, message), too_late) = self.reorder.pop(at_end)?;
@@ -168,7 +168,8 @@ impl MessageQueue {
                 self.issues.add(IssueKind::LinesOutOfOrder);
             }
             let Some(output) = self.outputs.get_mut(topic) else { continue };
-            // Clocks of whole seconds give one stamp to several measurements: the values have to be the same, too.
+            // Clocks with a resolution of one second give several measurements the same stamp. A message is
+            // only repeated if its values are the same, too.
             if output.last.as_ref() == Some(&message) {
                 self.issues.add(IssueKind::RepeatedMessage);
                 continue;

@@ -1,18 +1,19 @@
-//! Putting messages into order of time within a bounded window.
+//! Puts messages into order of time within a bounded window.
 
 use std::collections::BTreeMap;
 
 use portolan_geometry::{Duration, Time};
 
-/// Messages wait until one this much later has been seen …
+/// A message is released once one this much later has arrived (10 s) and more than [`AT_LEAST`] messages
+/// wait.
 const WINDOW: Duration = Duration::from_ticks(10 * 10_000_000);
-/// … and at least this many are waiting …
+/// Number of waiting messages above which messages are released in order of time; see [`WINDOW`].
 const AT_LEAST: usize = 64;
-/// … but never more than this many, or this many bytes.
+/// Limits on waiting messages, as a number and in bytes; above either one the earliest is released at once.
 const AT_MOST: usize = 4096;
 const AT_MOST_BYTES: usize = 64 << 20;
 
-/// Orders items by time, then by rank, then as they came.
+/// Orders items by time, then by rank, then by arrival.
 #[derive(Debug)]
 pub(crate) struct Reorder<T> {
     waiting: BTreeMap<(Time, u32, u64), (usize, T)>,
@@ -29,7 +30,7 @@ impl<T> Default for Reorder<T> {
 }
 
 impl<T> Reorder<T> {
-    /// Adds an item of so many bytes; returns whether an item of a later time had come before it.
+    /// Adds an item with its size in bytes; returns whether an item of a later time had come before it.
     pub fn push(&mut self, time: Time, rank: u32, bytes: usize, item: T) -> bool {
         let late = time < self.newest;
         self.newest = self.newest.max(time);
@@ -39,8 +40,8 @@ impl<T> Reorder<T> {
         late
     }
 
-    /// The next item if its turn is certain, or `at_end`. The time returned never goes back: an item
-    /// that came too late for its place gets the time of the one before it, and `true`.
+    /// The next item, if its place is certain or `at_end`. The time returned never decreases: an item that
+    /// came too late gets the time of the item before it, and `true`.
     pub fn pop(&mut self, at_end: bool) -> Option<(Time, T, bool)> {
         let (&(time, ..), _) = self.waiting.first_key_value()?;
         let settled = self.waiting.len() > AT_LEAST && time <= self.newest - WINDOW;

@@ -1,4 +1,4 @@
-//! The first look over a CARMEN log: what it holds, when, and where its scanners sit.
+//! First pass over a CARMEN log: its content, its times, and the mounting of its scanners.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -10,22 +10,23 @@ use super::{CarmenOptions, TimeColumn};
 use crate::text::{Lines, TextFile};
 use crate::{RecordingError, StampPattern};
 
-/// Times below this (March 1973) count from the start of some computer or program.
+/// Times below this (March 1973), seconds, do not count from 1970 but from the start of some computer or
+/// program.
 const SHORTEST_UNIX_SECONDS: f64 = 1e8;
-/// What is added to those.
+/// Offset that is added to those times, seconds.
 const SHIFT_SECONDS: f64 = 1e9;
-/// Stamps outside of this, seconds since 1970 or since some start, are no times: ROS cannot hold them either.
+/// Range of valid stamps, seconds since 1970 or since some start. ROS cannot represent others.
 const POSSIBLE_SECONDS: Range<f64> = 0.0..4_294_967_296.0;
-/// So many stamps of each scanner are looked at.
+/// Maximum number of stamps of each scanner that are examined.
 const MAX_STAMPS: usize = 1_000_000;
-/// In pieces of so many.
+/// Number of stamps that are examined together.
 const PIECE: usize = 200;
-/// Most parameters that are remembered.
+/// Maximum number of parameters that are kept.
 const MAX_PARAMS: usize = 20_000;
-/// A mounting may vary by rounding only (metres, radians).
+/// Variation of a mounting that counts as rounding (metres, radians).
 const MOUNTING_TOLERANCE: (f64, f64) = (0.01, 0.01);
 
-/// Which column of the log the stamps come from, and how they become times.
+/// Which column of the log the stamps come from, and how they are converted to times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Clock {
     column: TimeColumn,
@@ -35,9 +36,9 @@ pub(crate) struct Clock {
 impl Clock {
     /// The stamp of a line.
     ///
-    /// Unix times are read exactly. Times that count from a start are put 1,000,000,000 s later, by
-    /// the double-precision sum in nanoseconds: the stamps that ROS recordings made from such logs
-    /// carry, so that both forms map to the same bytes. None if that is no possible time.
+    /// Unix times are read exactly. Times that count from a start are shifted by 1,000,000,000 s, with the
+    /// sum in double precision converted to nanoseconds. ROS recordings made from such logs have the same
+    /// stamps, so both forms give the same map, byte for byte. None if the time is not valid.
     pub fn stamp(self, times: LineTimes) -> Option<Time> {
         let text = match self.column {
             TimeColumn::Ipc => times.ipc,
@@ -51,12 +52,12 @@ impl Clock {
     }
 }
 
-/// The time that stands in a line, if it can be one.
+/// The time in a line, if it is valid.
 fn possible_seconds(text: &str) -> Option<f64> {
     text.parse().ok().filter(|seconds| POSSIBLE_SECONDS.contains(seconds))
 }
 
-/// Where the laser sits on the robot, as its poses tell.
+/// Pose of the laser on the robot, from the poses of both in the log.
 #[derive(Clone, Debug, Default)]
 struct Mounting {
     first: Pose2d,
@@ -86,8 +87,8 @@ impl Mounting {
         self.count += 1;
     }
 
-    /// The mounting to a tenth of a millimetre, if it was the same all the time. In corrected logs it
-    /// is not, because there the laser pose is the result of a mapping program.
+    /// The mounting, rounded to 0.1 mm, if it is constant. In corrected logs it is not, because the laser
+    /// pose there is the result of a mapping program.
     fn constant(&self) -> Option<Pose2d> {
         let mean = |first: f64, sum: f64| first + sum / self.count as f64;
         let round = |v: f64, step: f64| (v / step).round() * step;
@@ -103,7 +104,7 @@ impl Mounting {
 struct LaserSurvey {
     count: u64,
     mounting: Mounting,
-    /// Seconds, as they stand in the log: by ipc, by logger.
+    /// Seconds as in the log: column ipc, column logger.
     stamps: [Vec<f64>; 2],
 }
 
@@ -135,7 +136,7 @@ impl TimeSpan {
     }
 }
 
-/// What the whole log holds.
+/// Content of the whole log.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Survey {
     pub odometry_lines: u64,
@@ -146,7 +147,7 @@ pub(crate) struct Survey {
 }
 
 impl Survey {
-    /// Reads the log once without its ranges.
+    /// Reads the log once, without the ranges.
     pub fn of(file: &TextFile) -> Result<Self, RecordingError> {
         let mut survey = Self::default();
         let mut lines: Lines = file.lines()?;
@@ -181,7 +182,7 @@ impl Survey {
         }
     }
 
-    /// Whether there is any scan or odometry, whatever its time.
+    /// Whether there is neither a scan nor odometry, with any time.
     pub fn is_empty(&self) -> bool {
         self.odometry_lines == 0 && self.lasers.is_empty()
     }
@@ -191,12 +192,12 @@ impl Survey {
         self.lasers.get(&kind).map_or(0, |l| l.count)
     }
 
-    /// All kinds of scans there are.
+    /// All kinds of scans in the log.
     pub fn kinds(&self) -> impl Iterator<Item = LaserKind> {
         self.lasers.keys().copied()
     }
 
-    /// The clock to use: as asked for, except that a column that stands still is not used.
+    /// The clock to use: the requested column, unless its time never changes.
     pub fn clock(&self, options: &CarmenOptions) -> Clock {
         let (chosen, other, other_column) = match options.time_column {
             TimeColumn::Ipc => (&self.ipc, &self.logger, TimeColumn::Logger),
@@ -208,8 +209,8 @@ impl Survey {
         Clock { column: options.time_column, shifted: chosen.small > chosen.large }
     }
 
-    /// Whether the stamps of a scanner come in bursts or go back, so that the order of the lines is more to
-    /// be believed than the stamps.
+    /// Whether the stamps of a scanner come in bursts or go back, so that the order of the lines is more
+    /// reliable than the stamps.
     pub fn has_disturbed_stamps(&self, clock: Clock) -> bool {
         let is_disturbed = |stamps: &[f64]| {
             let stamps: Vec<Time> = stamps.iter().map(|s| Time::from_unix_seconds(*s)).collect();
@@ -239,8 +240,8 @@ impl Survey {
         Some((stamp(first)?, stamp(last)?))
     }
 
-    /// Where the scanner sits on the robot: as its poses say all along, or else (in corrected logs) as
-    /// the parameters say, or else at the origin of the robot.
+    /// Pose of the scanner on the robot: from the poses in the log if it is constant, else (in corrected
+    /// logs) from the parameters, else the origin of the robot.
     pub fn mounting(&self, kind: LaserKind) -> Option<Pose2d> {
         let (parameter, heading) = match kind {
             LaserKind::Front | LaserKind::Robot(1) => ("robot_frontlaser_offset", 0.0),

@@ -8,19 +8,19 @@ use std::sync::Arc;
 use super::UnpackedFile;
 use crate::RecordingError;
 
-/// Where the bytes of a recording lie. Cheap to copy; every pass over a recording opens it anew.
+/// Location of the bytes of a recording. Cheap to copy; every pass over a recording opens it again.
 #[derive(Clone, Debug)]
 pub(crate) enum Source {
     /// A file.
     File(Arc<Path>),
-    /// A file that was unpacked for us and vanishes with the last copy of this value.
+    /// A temporary file with the decompressed bytes; it is deleted with the last copy of this value.
     Unpacked { original: Arc<Path>, file: Arc<UnpackedFile> },
-    /// Bytes in memory, with a name for messages.
+    /// Bytes in memory, with a name for error messages.
     Memory { name: Arc<Path>, bytes: Arc<[u8]> },
 }
 
 impl Source {
-    /// The path the user knows.
+    /// The path that the user gave.
     pub(crate) fn name(&self) -> &Path {
         match self {
             Self::File(path) => path,
@@ -29,7 +29,7 @@ impl Source {
         }
     }
 
-    /// The file that holds the bytes, if it is not memory.
+    /// The file that holds the bytes; none for bytes in memory.
     pub(crate) fn file(&self) -> Option<&Path> {
         match self {
             Self::File(path) => Some(path),
@@ -56,7 +56,7 @@ impl Source {
 trait ReadSeek: Read + Seek + Send {}
 impl<T: Read + Seek + Send> ReadSeek for T {}
 
-/// An open recording: a window over its bytes for looking around, and reads of whole chunks.
+/// An open recording: small reads go through a buffered window, chunks are read whole.
 pub(crate) struct FileBytes {
     name: PathBuf,
     input: Box<dyn ReadSeek>,
@@ -65,17 +65,17 @@ pub(crate) struct FileBytes {
     start: u64,
 }
 
-/// Looking at a record reads this much, so that neighbouring small records cost one read.
+/// Size of the window, bytes, so that neighbouring small records cost one read.
 const WINDOW_BYTES: usize = 8192;
 
 impl FileBytes {
-    /// Size when it was opened.
+    /// Size of the file when it was opened, bytes.
     pub(crate) fn length(&self) -> u64 {
         self.length
     }
 
-    /// `count` bytes from `offset`, fewer only at the end of the file. `count` must be bounded by the
-    /// caller: that much memory is used.
+    /// `count` bytes from `offset`, fewer only at the end of the file. The caller must bound `count`: that
+    /// much memory is used.
     pub(crate) fn peek(&mut self, offset: u64, count: usize) -> Result<&[u8], RecordingError> {
         let count = self.available(offset, count as u64);
         let inside = offset >= self.start

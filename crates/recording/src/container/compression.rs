@@ -1,4 +1,4 @@
-//! Compression of chunks.
+//! Compression and decompression of chunks.
 
 use std::fmt;
 use std::io::{self, Read};
@@ -15,7 +15,7 @@ pub(crate) enum Compression {
 }
 
 impl Compression {
-    /// From the name that a chunk carries (MCAP writes nothing for no compression).
+    /// From the name in the chunk (MCAP uses an empty name for no compression).
     pub(crate) fn from_name(name: &[u8]) -> Option<Self> {
         Some(match name {
             b"" | b"none" => Self::None,
@@ -38,32 +38,32 @@ impl fmt::Display for Compression {
     }
 }
 
-/// LZ4 cannot compress any better than to a 255th; bzip2 and Zstandard can, but no messages of sensors are so
-/// monotonous.
+/// Maximum ratio of decompressed to compressed size. LZ4 cannot exceed 255; bzip2 and Zstandard can, but
+/// messages of sensors are never that repetitive.
 const MAX_RATIO: u64 = 256;
-/// So much may come out of whatever little there is: chunks of recorders are smaller by far.
+/// Decompressed size that is allowed for any compressed size, bytes; the chunks of recorders are far smaller.
 const ALWAYS_ALLOWED: u64 = 64 << 20;
 
-/// More than this is not decompressed from `packed_bytes`, whatever the file says: a few bytes must not take all
-/// memory.
+/// Maximum decompressed size of `packed_bytes`, whatever the file states, so that a few bytes cannot exhaust
+/// the memory.
 pub(crate) fn most_unpacked(packed_bytes: u64) -> u64 {
     usual_unpacked(packed_bytes).max(ALWAYS_ALLOWED)
 }
 
-/// More than this does not come out of data of sensors.
+/// Maximum decompressed size of sensor data with a compressed size of `packed_bytes`.
 pub(crate) fn usual_unpacked(packed_bytes: u64) -> u64 {
     packed_bytes.saturating_mul(MAX_RATIO)
 }
 
-/// Decompresses chunks; keeps its memory for the next.
+/// Decompresses chunks; reuses its memory.
 #[derive(Default)]
 pub(crate) struct Decompressor {
     bz2: Unpacker,
 }
 
 impl Decompressor {
-    /// Decompresses at most `limit` bytes into `into`, which is replaced. What could be decompressed before
-    /// an error stays in `into`.
+    /// Decompresses at most `limit` bytes into `into`, which is replaced. After an error `into` holds the
+    /// bytes that were decompressed before it.
     pub(crate) fn decompress(
         &mut self,
         compression: Compression,
@@ -72,7 +72,8 @@ impl Decompressor {
         into: &mut Vec<u8>,
     ) -> io::Result<()> {
         into.clear();
-        // The limit may lie, so that it alone must not decide how much is allocated at once.
+        // The limit comes from the file and may be wrong, so it must not decide alone how much is allocated
+        // at once.
         let guess = limit.min(8 * packed.len() as u64 + 4096);
         into.reserve(usize::try_from(guess).unwrap_or_default());
         let mut reader: Box<dyn Read + '_> = match compression {
@@ -89,7 +90,7 @@ impl Decompressor {
             Compression::Zstd => Box::new(zstd::stream::read::Decoder::with_buffer(packed)?),
         };
         let read = reader.by_ref().take(limit).read_to_end(into)?;
-        // One byte more is asked for so that checksums behind the last byte are checked.
+        // Reads one byte more, so that checksums after the last byte are verified.
         if read as u64 == limit && reader.read(&mut [0])? != 0 {
             return Err(io::Error::new(io::ErrorKind::InvalidData, "more data than announced"));
         }

@@ -1,4 +1,4 @@
-//! Topics of a container and the decoding of their messages.
+//! Topics of a container and decoding of their messages.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -23,7 +23,7 @@ impl Connection {
         Self { topic: topic.into(), type_name: normalized_type_name(type_name).into(), encoding }
     }
 
-    /// What its messages are decoded to, if they are understood.
+    /// The kind of message that its messages are decoded to, if the type is supported.
     pub(crate) fn kind(&self) -> Option<MessageKind> {
         if self.encoding == Encoding::Unknown { None } else { MessageKind::from_type_name(&self.type_name) }
     }
@@ -44,7 +44,7 @@ pub(crate) fn topics<'a>(connections: impl Iterator<Item = (&'a Connection, Opti
     topics.into_iter().map(info).collect()
 }
 
-/// Decodes messages of connections; what cannot be decoded is counted with its topic.
+/// Decodes messages of connections. Messages that cannot be decoded are counted by topic.
 #[derive(Default)]
 pub(crate) struct MessageDecoder {
     decoder: Decoder,
@@ -52,12 +52,12 @@ pub(crate) struct MessageDecoder {
     unpacked: Vec<u8>,
 }
 
-/// A message may unpack to this size; beyond, ROS itself gives up.
+/// Maximum size of a decompressed message, bytes; ROS itself rejects larger ones.
 const MAX_MESSAGE_BYTES: u64 = 1 << 30;
 const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
 impl MessageDecoder {
-    /// The message, or `None` if it had to be dropped.
+    /// The decoded message, or `None` if it had to be dropped.
     pub(crate) fn decode(
         &mut self,
         connection: &Connection,
@@ -68,7 +68,7 @@ impl MessageDecoder {
             return Some(Message::Other { type_name: connection.type_name.clone(), bytes: payload.len() });
         };
         let mut payload = Cow::Borrowed(payload);
-        // ROS 2 recorders can compress message by message. No CDR message starts like this.
+        // ROS 2 recorders can compress each message. No CDR message starts with this magic number.
         if connection.encoding == Encoding::Cdr && payload.starts_with(&ZSTD_MAGIC) {
             let mut unpacked = std::mem::take(&mut self.unpacked);
             let limit = most_unpacked(payload.len() as u64).min(MAX_MESSAGE_BYTES);

@@ -1,4 +1,4 @@
-//! Where the messages of a container lie.
+//! Index of a container: which messages are in which part of the file.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -11,11 +11,11 @@ use portolan_issue::{IssueKind, IssueLog};
 /// A chunk, or a run of records outside of chunks.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Segment {
-    /// Where its (compressed) bytes start in the file.
+    /// Offset of its (compressed) bytes in the file.
     pub(crate) offset: u64,
-    /// How many there are.
+    /// Number of (compressed) bytes.
     pub(crate) stored_bytes: u64,
-    /// Size after decompression, as the file says.
+    /// Size after decompression, as stated in the file, bytes.
     pub(crate) unpacked_bytes: u64,
     pub(crate) compression: Compression,
     /// CRC-32 of the decompressed bytes; zero if there is none.
@@ -28,17 +28,17 @@ pub(crate) struct Segment {
     pub(crate) connections: Option<Arc<[u32]>>,
 }
 
-/// Larger segments are not loaded: a lying size must not take all memory. Uncompressed data never form
-/// segments larger than this unless one message alone is.
+/// Maximum size of a segment, bytes; larger ones are not loaded, so that a wrong size cannot exhaust the
+/// memory. Uncompressed data only form a larger segment if a single message is larger.
 pub(crate) const MAX_SEGMENT_BYTES: u64 = 1 << 30;
 
-/// Everything known about a container before its messages are read.
+/// Everything that is known about a container before its messages are read.
 #[derive(Debug, Default)]
 pub(crate) struct ChunkIndex {
     pub(crate) connections: BTreeMap<u32, Connection>,
     /// Messages per connection.
     pub(crate) counts: BTreeMap<u32, u64>,
-    /// In order of their first log time (ties in file order), once opening is done.
+    /// Sorted by first log time (ties in file order), once opening is complete.
     pub(crate) segments: Vec<Segment>,
     pub(crate) issues: IssueLog,
 }
@@ -82,7 +82,7 @@ impl ChunkIndex {
         )
     }
 
-    /// Compressions that occur, for the description of the format.
+    /// The compressions in use, for the description of the format.
     pub(crate) fn compressions(&self) -> String {
         let kinds: BTreeSet<Compression> = self.segments.iter().map(|s| s.compression).collect();
         kinds.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
@@ -96,7 +96,7 @@ pub(crate) struct LooseRun {
     connections: BTreeSet<u32>,
 }
 
-/// Size at which a run of loose messages becomes a segment.
+/// Size at which a run of loose messages becomes a segment, bytes.
 const LOOSE_SEGMENT_BYTES: u64 = 1 << 20;
 
 impl LooseRun {
@@ -141,7 +141,7 @@ impl LooseRun {
     }
 }
 
-/// Loads segments; keeps its memory for the next.
+/// Loads segments; reuses its memory.
 #[derive(Default)]
 pub(crate) struct SegmentLoader {
     packed: Vec<u8>,
@@ -149,7 +149,7 @@ pub(crate) struct SegmentLoader {
 }
 
 impl SegmentLoader {
-    /// Reads and decompresses a segment into `into`. Damage is counted; what can be had is kept.
+    /// Reads and decompresses a segment into `into`. Damage is counted; all readable bytes are kept.
     pub(crate) fn load(
         &mut self,
         segment: &Segment,

@@ -1,4 +1,4 @@
-//! What is in chunks of which no index tells it.
+//! Reads the content of chunks that no index describes.
 
 use std::collections::BTreeMap;
 
@@ -6,11 +6,11 @@ use super::{Content, FileBytes, RecordFormat, Segment, SegmentLoader, usual_unpa
 use crate::RecordingError;
 use portolan_issue::{IssueKind, IssueLog};
 
-/// So much may come out of chunks from which nothing can be read, beyond what data of sensors unpack to: time is bounded by the size
-/// of the file, whatever its chunks claim.
+/// Maximum total size of decompressed chunks without any readable message, beyond the size expected of sensor
+/// data, bytes. It bounds the time by the size of the file, whatever sizes its chunks state.
 const MOST_USELESS_BYTES: u64 = 512 << 20;
 
-/// Decompresses chunks to see what is in them; keeps its memory for the next.
+/// Decompresses chunks to find out what is in them; reuses its memory.
 #[derive(Default)]
 pub(crate) struct ChunkInspector {
     loader: SegmentLoader,
@@ -19,8 +19,9 @@ pub(crate) struct ChunkInspector {
 }
 
 impl ChunkInspector {
-    /// Counts the messages of a chunk by connection, sets its times, and hands on the records that describe connections. A chunk
-    /// from which nothing could be read is an issue; other damage is counted by the pass that reads the chunk.
+    /// Counts the messages of a chunk by connection, sets its times, and passes the records that describe
+    /// connections to `describe`. A chunk from which nothing could be read is an issue; other damage is
+    /// counted by the pass that reads the chunk.
     pub(crate) fn inspect(
         &mut self,
         segment: &mut Segment,

@@ -1,4 +1,4 @@
-//! Loading segments, the compressed ones ahead of time on other threads.
+//! Loads segments; compressed ones are loaded ahead on other threads.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::ops::Range;
@@ -24,11 +24,11 @@ pub(super) struct LoadedSegment {
     pub(super) data: Vec<u8>,
     /// In order of log time; ties in file order.
     pub(super) entries: Vec<Entry>,
-    /// What is wrong with it.
+    /// Damage found in it.
     pub(super) damage: IssueLog,
 }
 
-/// What is needed to load any segment.
+/// Everything that is needed to load any segment.
 pub(super) struct Plan {
     pub(super) source: Source,
     pub(super) format: Arc<dyn RecordFormat>,
@@ -37,8 +37,8 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    /// Whether a segment must be looked at. Messages of unknown connections are looked at because their
-    /// loss must be counted.
+    /// Whether a segment must be read. Segments with messages of unknown connections are read because these
+    /// messages must be counted as lost.
     pub(super) fn needs(&self, segment: &Segment) -> bool {
         segment.connections.as_ref().is_none_or(|list| {
             list.iter().any(|id| self.wanted.contains(id) || !self.index.connections.contains_key(id))
@@ -72,10 +72,10 @@ impl Plan {
     }
 }
 
-/// A segment to load on another thread: its number, memory to use, and where to put it.
+/// A segment to load on another thread: its number, a buffer to use, and the channel for the result.
 type Job = (usize, Vec<u8>, SyncSender<Result<LoadedSegment, RecordingError>>);
 
-/// Decompressed data that is loaded ahead, at most.
+/// Maximum size of decompressed data that is loaded ahead, bytes.
 const MAX_AHEAD_BYTES: u64 = 64 << 20;
 const MAX_THREADS: usize = 8;
 
@@ -84,12 +84,12 @@ pub(super) struct Loader {
     plan: Arc<Plan>,
     file: FileBytes,
     segments: SegmentLoader,
-    /// Memory of closed segments, for the next ones.
+    /// Buffers of closed segments, for reuse.
     spare: Vec<Vec<u8>>,
     threads: usize,
-    /// Started with the first segment that is worth it.
+    /// Threads are started with the first segment that is loaded ahead.
     jobs: Option<Sender<Job>>,
-    /// Next segment to hand to a thread.
+    /// Next segment to give to a thread.
     ahead: usize,
     ahead_bytes: u64,
     loading: VecDeque<(usize, Receiver<Result<LoadedSegment, RecordingError>>)>,
@@ -111,7 +111,7 @@ impl Loader {
         })
     }
 
-    /// What is being loaded.
+    /// The plan that it loads from.
     pub(super) fn plan(&self) -> &Arc<Plan> {
         &self.plan
     }
@@ -121,7 +121,7 @@ impl Loader {
         self.file.length()
     }
 
-    /// The needed segment `number`. Numbers have to ascend from call to call.
+    /// The needed segment `number`. Numbers must ascend from call to call.
     pub(super) fn next(&mut self, number: usize) -> Result<LoadedSegment, RecordingError> {
         let plan = self.plan.clone();
         self.look_ahead(number);
@@ -146,14 +146,14 @@ impl Loader {
         }
     }
 
-    /// Takes back memory that is no longer needed.
+    /// Takes back a buffer that is no longer needed.
     pub(super) fn recycle(&mut self, data: Vec<u8>) {
         if self.spare.len() < self.threads + 1 && data.capacity() as u64 <= MAX_AHEAD_BYTES / 8 {
             self.spare.push(data);
         }
     }
 
-    /// Hands segments from `number` on to the threads, as far as memory allows.
+    /// Gives segments from `number` on to the threads, within the memory limit.
     fn look_ahead(&mut self, number: usize) {
         self.ahead = self.ahead.max(number);
         let plan = self.plan.clone();
@@ -164,8 +164,8 @@ impl Loader {
                 continue;
             }
             let fits = self.ahead_bytes.saturating_add(segment.unpacked_bytes) <= MAX_AHEAD_BYTES;
-            // Uncompressed data are at hand as fast as another thread could bring them, and the segment
-            // that is needed now is not worth a thread if nothing else is to be done.
+            // Uncompressed data are read as fast here as on another thread. The segment that is needed now is
+            // not worth a thread if there is nothing else to load.
             if segment.compression == Compression::None
                 || !fits
                 || (self.ahead == number && self.is_last(number))
@@ -190,8 +190,8 @@ impl Loader {
     }
 }
 
-/// Threads that load segments until the sender is dropped. A thread that cannot open the file, or that
-/// dies, leaves its work to the reader.
+/// Starts threads that load segments until the sender is dropped. If a thread cannot open the file or panics,
+/// the reader does its work.
 fn start_threads(plan: &Arc<Plan>, threads: usize) -> Sender<Job> {
     let (sender, receiver) = channel::<Job>();
     let receiver = Arc::new(Mutex::new(receiver));
@@ -204,12 +204,12 @@ fn start_threads(plan: &Arc<Plan>, threads: usize) -> Sender<Job> {
                 let job = receiver.lock().unwrap_or_else(PoisonError::into_inner).recv();
                 let Ok((number, data, reply)) = job else { return };
                 if let Some(segment) = plan.index.segments.get(number) {
-                    // Nobody waits any more if the reader was dropped.
+                    // Sending fails if the reader was dropped; then the result is not needed.
                     let _ = reply.send(plan.load(segment, &mut file, &mut loader, data));
                 }
             }
         };
-        // Without threads the reader does the work itself.
+        // If no thread can be started, the reader does the work itself.
         let _ = std::thread::Builder::new().name(format!("recording-{number}")).spawn(work);
     }
     sender

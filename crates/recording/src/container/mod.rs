@@ -1,7 +1,7 @@
-//! What bags and MCAP files have in common: a file of records, most of them inside compressed chunks.
+//! Common parts of bags and MCAP files: files of records, most of them inside compressed chunks.
 //!
-//! Opening yields a [`ChunkIndex`] (from the file's own index or by scanning); reading merges the
-//! messages of its segments in order of log time ([`ChunkedRecording`]).
+//! Opening gives a [`ChunkIndex`] (from the file's own index or by scanning). Reading merges the messages of
+//! its segments in order of log time ([`ChunkedRecording`]).
 
 mod bytes;
 mod compression;

@@ -1,4 +1,4 @@
-//! Reading the messages of a container in order of log time with bounded memory.
+//! Reads the messages of a container in order of log time with bounded memory.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
@@ -11,7 +11,7 @@ use super::{ChunkIndex, MessageDecoder, RecordFormat, Segment, Source};
 use crate::{MessageReader, RecordedMessage, Recording, RecordingError, TopicInfo};
 use portolan_issue::{Issue, IssueKind, IssueLog};
 
-/// A bag or MCAP file whose index is known.
+/// A bag or MCAP file whose index has been read.
 pub(crate) struct ChunkedRecording {
     pub(crate) source: Source,
     pub(crate) size_bytes: u64,
@@ -74,27 +74,27 @@ pub(crate) fn time(nanoseconds: u64) -> Time {
     Time::from_unix_nanoseconds(i64::try_from(nanoseconds).unwrap_or(i64::MAX))
 }
 
-/// A segment some of whose messages are still to come.
+/// A segment with messages that have not been delivered yet.
 struct OpenSegment {
     /// In order of log time.
     entries: Vec<Entry>,
     next: usize,
-    /// Dropped when memory is short and loaded again when its turn comes.
+    /// Dropped when memory is short, and loaded again when its next message is due.
     data: Option<Vec<u8>>,
 }
 
-/// Chunks that overlap in time are held decompressed at the same time up to this sum.
+/// Maximum total size of decompressed chunks that overlap in time, bytes.
 const MAX_RESIDENT_BYTES: usize = 256 << 20;
 
-/// Merges segments. Segments are opened in order of their first log time, each as soon as it may hold
-/// the next message, so that usually only one or two are in memory.
+/// Merges segments. They are opened in order of their first log time, each as soon as it may hold the next
+/// message, so that usually only one or two are in memory.
 struct ChunkReader {
     loader: Loader,
     index: Arc<ChunkIndex>,
     /// Next segment to open.
     cursor: usize,
     open: BTreeMap<usize, OpenSegment>,
-    /// Log time of the next message, place in the file, and number of every open segment.
+    /// Log time of the next message, offset in the file, and number of every open segment.
     queue: BinaryHeap<Reverse<(u64, u64, usize)>>,
     resident_bytes: usize,
     last_time: u64,
@@ -132,7 +132,7 @@ impl MessageReader for ChunkReader {
 }
 
 impl ChunkReader {
-    /// Opens every segment that may hold a message at or before the next one queued.
+    /// Opens every segment that may hold a message at or before the next one in the queue.
     fn open_due_segments(&mut self) -> Result<(), RecordingError> {
         let index = self.index.clone();
         while let Some(segment) = index.segments.get(self.cursor) {
@@ -182,7 +182,7 @@ impl ChunkReader {
         }))
     }
 
-    /// Queues an open segment for its next message, or closes it.
+    /// Puts an open segment into the queue for its next message, or closes it.
     fn advance(&mut self, number: usize) {
         let Some(open) = self.open.get_mut(&number) else { return };
         open.next += 1;
@@ -202,7 +202,7 @@ impl ChunkReader {
         if open.data.is_some() {
             return Ok(());
         }
-        // What is wrong with it was counted when it was loaded first.
+        // Its damage was counted when it was loaded for the first time.
         let data = self.loader.load_now(number)?.data;
         self.resident_bytes += data.capacity();
         open.data = Some(data);
@@ -210,7 +210,8 @@ impl ChunkReader {
         Ok(())
     }
 
-    /// Drops the bytes of segments that are needed last until the rest fits; `keep` stays.
+    /// Drops the bytes of the segments whose next message is latest, until the rest fits; `keep` is not
+    /// dropped.
     fn make_room(&mut self, keep: usize) {
         while self.resident_bytes > MAX_RESIDENT_BYTES {
             let next_time = |open: &OpenSegment| open.entries.get(open.next).map(|entry| entry.nanoseconds);

@@ -1,4 +1,4 @@
-//! Temporary files of what was unpacked.
+//! Temporary files for decompressed data.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use portolan_unfinished::Unfinished;
 use tempfile::{NamedTempFile, TempPath};
 
-/// A file in the folder for temporary files that vanishes with this value.
+/// A file in the folder for temporary files; it is deleted when this value is dropped.
 #[derive(Debug)]
 pub(crate) struct UnpackedFile {
     path: TempPath,
@@ -14,7 +14,7 @@ pub(crate) struct UnpackedFile {
 }
 
 impl UnpackedFile {
-    /// Writes it.
+    /// Writes the file.
     pub(crate) fn write<E: From<io::Error>>(
         content: impl FnOnce(&mut dyn Write) -> Result<(), E>,
     ) -> Result<Self, E> {

@@ -1,16 +1,16 @@
-//! Walking over records that lie in memory, past damage.
+//! Iterates over records in memory and skips damaged parts.
 
 use std::ops::Range;
 
 /// One record.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Record {
-    /// First byte behind it.
+    /// Offset of the first byte after it.
     pub(crate) end: usize,
     pub(crate) content: Content,
 }
 
-/// What a record holds.
+/// The content of a record.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Content {
     Message {
@@ -24,22 +24,22 @@ pub(crate) enum Content {
     Other,
 }
 
-/// How the records of a container look.
+/// The record format of a container.
 pub(crate) trait RecordFormat: Send + Sync {
-    /// The record at `at`, or `None` if there is no sound and whole one.
+    /// The record at `at`, or `None` if there is no valid and complete one.
     fn record(&self, data: &[u8], at: usize) -> Option<Record>;
 
-    /// Where the next record that looks sound starts, at or behind `from`.
+    /// Offset of the next record that looks valid, at or after `from`.
     fn find_record(&self, data: &[u8], from: usize) -> Option<usize>;
 }
 
-/// Visits every sound record. Returns how often something unreadable had to be skipped.
+/// Visits every valid record. Returns how often unreadable bytes had to be skipped.
 pub(crate) fn walk(format: &dyn RecordFormat, data: &[u8], mut visit: impl FnMut(Record)) -> u64 {
     let mut at = 0;
     let mut gaps = 0;
     while at < data.len() {
         if let Some(record) = format.record(data, at) {
-            // Every record is longer than nothing; the maximum guards against standing still.
+            // Every record has at least one byte; `max` guarantees progress.
             at = record.end.max(at + 1);
             visit(record);
             continue;

@@ -1,9 +1,10 @@
-//! Folders of the KITTI data set: raw drives (`…_sync`, `…_extract`) and sequences of the odometry benchmark.
+//! Reads folders of the KITTI data set: raw drives (`…_sync`, `…_extract`) and sequences of the odometry
+//! benchmark.
 //!
 //! Sweeps are files of x, y, z and reflectance (`f32`). A raw drive has the time at which each sweep began,
-//! faced ahead and ended; the head turns clockwise from behind, so each point's time follows from its
-//! azimuth. Sequences of the benchmark have their motion removed and one time per sweep. `oxts` gives
-//! satellite fixes and an IMU.
+//! pointed ahead and ended. The head turns clockwise, starting at the rear, so the time of each point follows
+//! from its azimuth. Sequences of the benchmark are already motion-compensated, with one time per sweep.
+//! `oxts` gives GNSS fixes and IMU samples.
 
 mod oxts;
 mod times;
@@ -32,12 +33,12 @@ const IMU: &str = "/oxts/imu";
 const TRANSFORMS: &str = "/tf_static";
 const LIDAR_FRAME: &str = "velodyne";
 const INS_FRAME: &str = "imu_link";
-/// Longer files are no sweeps.
+/// Maximum size of a sweep file, bytes; longer files are not read.
 const MAX_SWEEP_BYTES: u64 = 1 << 26;
-/// Where the benchmark's clock, which counts from the start of a sequence, is put.
+/// Offset of the benchmark's clock, which counts from the start of a sequence.
 const CLOCK_START: Time = Time::from_ros(1_000_000_000, 0);
 
-/// One sweep: its file, its time, and when it began and ended.
+/// One sweep: its file, its time, and its start and end time.
 #[derive(Clone, Debug)]
 struct Sweep {
     path: PathBuf,
@@ -64,7 +65,7 @@ struct Kitti {
     issues: Vec<Issue>,
 }
 
-/// Opens a folder of KITTI; none if it is none.
+/// Opens a folder of KITTI; none if the folder is not one.
 pub(crate) fn open(folder: &Path) -> Result<Option<Box<dyn Recording>>, RecordingError> {
     let raw = folder.join("velodyne_points");
     let is_raw = raw.join("data").is_dir();
@@ -120,7 +121,7 @@ fn raw_sweeps(raw: &Path, files: Vec<PathBuf>, issues: &mut IssueLog) -> Result<
     let middle = times::date_file(&raw.join("timestamps.txt"))?;
     let start = times::date_file(&raw.join("timestamps_start.txt"))?;
     let end = times::date_file(&raw.join("timestamps_end.txt"))?;
-    // Where begin and end are not given, a sweep takes 0.1 s and its middle is the time.
+    // Without start and end times, a sweep takes 0.1 s and its stamp is its middle.
     let half = Duration::from_seconds(0.05);
     let sweeps = times::paired(files, middle, "sweeps", issues).enumerate().map(|(i, (path, time))| {
         let number = times::number_of(&path).unwrap_or(i);
@@ -206,9 +207,9 @@ struct KittiPass {
     is_raw: bool,
     sweeps: Arc<[Sweep]>,
     ins: Arc<[InsReading]>,
-    /// Next sweep and next reading.
+    /// Index of the next sweep and of the next INS reading.
     next: (usize, usize),
-    /// Of points, fixes and IMU, where wanted.
+    /// Topics of points, fixes and IMU, where requested.
     topics: [Option<Arc<str>>; 3],
     builder: SweepBuilder,
     ready: VecDeque<RecordedMessage>,
@@ -222,7 +223,7 @@ impl KittiPass {
         let value =
             |at: usize| bytes.get(at..at + 4).and_then(|b| b.try_into().ok()).map_or(0.0, f32::from_le_bytes);
         let [x, y, z] = [0, 4, 8].map(|at| f64::from(value(at)));
-        // Clockwise from behind: +π is the beginning.
+        // Clockwise from the rear: azimuth +π is the start of the sweep.
         let share = if self.is_raw { (PI - y.atan2(x)) / TAU } else { 0.0 };
         let share = if share.is_finite() { share } else { 0.0 };
         PacketPoint {
@@ -239,7 +240,7 @@ impl KittiPass {
             self.issues.add(IssueKind::CutSweep);
         }
         let mut points: Vec<PacketPoint> = bytes.chunks_exact(16).map(|p| self.point(p, sweep)).collect();
-        // Files hold one beam after the other; a lidar sends them as it measures them.
+        // Files are sorted by beam; sort the points in the order of measurement, as a lidar sends them.
         points.sort_by_key(|point| point.time);
         for point in &points {
             self.builder.push(point);
@@ -252,7 +253,7 @@ impl KittiPass {
             self.issues.add(IssueKind::SweepWithoutPoints);
             return;
         };
-        // Times count from the first point; the stamp says when the lidar faced ahead.
+        // The builder counts times from the first point; the stamp is when the lidar pointed ahead.
         let shift = (measured.stamp - sweep.stamp).seconds() as f32;
         for point in &mut measured.points {
             point.seconds += shift;

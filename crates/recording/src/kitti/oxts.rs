@@ -1,4 +1,4 @@
-//! Readings of the INS (OXTS RT 3003) and where the lidar sits relative to it.
+//! Reads measurements of the INS (OXTS RT 3003) and its pose relative to the lidar.
 
 use std::path::Path;
 
@@ -8,11 +8,12 @@ use portolan_geometry::{Rigid3, Time, Vector3, rotation_from_roll_pitch_yaw};
 use crate::{Header, Imu, NavSatFix};
 use portolan_issue::{IssueKind, IssueLog};
 
-/// Values of a reading that are used, at least.
+/// Minimum number of values in a reading.
 const VALUES: usize = 25;
 
-/// Fix and inertial values of a line: latitude, longitude, altitude; roll, pitch, yaw; five velocities;
-/// accelerations and angular rates, first of the vehicle (x ahead, y left, z up), then levelled; accuracy.
+/// Parses the fix and the inertial values of a line: latitude, longitude, altitude; roll, pitch, yaw; five
+/// velocities; accelerations and angular rates, first in the vehicle's axes (x ahead, y left, z up), then
+/// levelled; accuracy.
 pub(super) fn parse(text: &str, time: Time, frame: &str) -> Option<(NavSatFix, Imu)> {
     let values: Vec<f64> = text.split_ascii_whitespace().take(40).map_while(|v| v.parse().ok()).collect();
     let &[latitude_degrees, longitude_degrees, altitude, roll, pitch, yaw, ..] = values.as_slice() else {
@@ -49,8 +50,8 @@ pub(super) fn parse(text: &str, time: Time, frame: &str) -> Option<(NavSatFix, I
     Some((fix, imu))
 }
 
-/// From `calib_imu_to_velo.txt` in the folder of the date, or of the drive; otherwise as the cars of KITTI
-/// were built.
+/// Reads the extrinsics from `calib_imu_to_velo.txt`, in the folder of the date or of the drive. Without that
+/// file it uses the nominal mounting of the KITTI cars.
 pub(super) fn ins_from_lidar(drive: &Path, issues: &mut IssueLog) -> Rigid3 {
     let beside = drive.parent().map(|date| date.join("calib_imu_to_velo.txt"));
     let inside = drive.join("calib_imu_to_velo.txt");
@@ -70,7 +71,7 @@ pub(super) fn ins_from_lidar(drive: &Path, issues: &mut IssueLog) -> Rigid3 {
     }
 }
 
-/// `R: nine numbers` (row by row) and `T: three`, metres.
+/// Parses `R: nine numbers` (row by row) and `T: three numbers`, metres.
 fn parse_calibration(text: &str) -> Option<Rigid3> {
     let numbers = |key: &str| -> Option<Vec<f64>> {
         let line = text.lines().find_map(|line| line.trim().strip_prefix(key)?.strip_prefix(':'))?;

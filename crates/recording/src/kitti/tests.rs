@@ -1,4 +1,4 @@
-//! Folders made by hand.
+//! Reads synthetic KITTI folders.
 
 use std::path::Path;
 
@@ -57,11 +57,12 @@ fn raw_drives_have_times_fixes_and_an_imu() {
     let cloud =
         messages.iter().find_map(|m| if let Message::PointCloud2(c) = &m.message { Some(c) } else { None });
     let cloud = cloud.unwrap();
-    // Stamped when it faced ahead, so that it is right without the times of points, too.
+    // The stamp is when the lidar pointed ahead, so it is also right for readers that ignore the times of
+    // points.
     assert_eq!(cloud.header.stamp, Time::from_unix_decimal("1317042145.05").unwrap());
     let times: Vec<f32> =
         cloud.data.chunks_exact(22).map(|p| f32::from_le_bytes(p[18..].try_into().unwrap())).collect();
-    // Behind, left, ahead, right: clockwise from behind.
+    // Rear, left, ahead, right: clockwise from the rear.
     for (time, expected) in times.iter().zip([-0.0498, -0.025, 0.0, 0.025]) {
         assert!((time - expected).abs() < 2e-4, "{times:?}");
     }

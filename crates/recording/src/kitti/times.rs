@@ -1,4 +1,4 @@
-//! Files of KITTI that are numbered, and their times.
+//! Numbered files of KITTI and their times.
 
 use std::path::{Path, PathBuf};
 
@@ -7,15 +7,15 @@ use portolan_geometry::{Duration, Time};
 use crate::RecordingError;
 use portolan_issue::{Issue, IssueKind, IssueLog};
 
-/// Lists of times are not longer.
+/// Maximum size of a list of times, bytes.
 const MAX_LIST_BYTES: u64 = 1 << 28;
 
-/// The number that is a file's name.
+/// The number that is the file's name.
 pub(super) fn number_of(path: &Path) -> Option<usize> {
     path.file_stem()?.to_str()?.parse().ok()
 }
 
-/// Files of a folder with a number as name and an extension, in order.
+/// The files of a folder whose name is a number, with this extension, in ascending order.
 pub(super) fn numbered_files(folder: &Path, extension: &str) -> Result<Vec<PathBuf>, RecordingError> {
     let error = |source| RecordingError::Io { path: folder.to_owned(), source };
     let mut files = Vec::new();
@@ -29,7 +29,7 @@ pub(super) fn numbered_files(folder: &Path, extension: &str) -> Result<Vec<PathB
     Ok(files)
 }
 
-/// Gives every file the time of its number; files without one are counted.
+/// Pairs each file with the time of its number; files without a time are counted.
 pub(super) fn paired(
     files: Vec<PathBuf>,
     times: Vec<Option<Time>>,
@@ -45,12 +45,12 @@ pub(super) fn paired(
     pairs.into_iter()
 }
 
-/// Lines of dates, one for each number; a line that is no date has none.
+/// Reads a list of dates, one line for each number; a line that is not a date gives none.
 pub(super) fn date_file(path: &Path) -> Result<Vec<Option<Time>>, RecordingError> {
     Ok(lines(path)?.iter().map(|line| parse_date(line)).collect())
 }
 
-/// Lines of seconds since a start.
+/// Reads a list of seconds since `start`.
 pub(super) fn seconds_file(path: &Path, start: Time) -> Result<Vec<Option<Time>>, RecordingError> {
     let time = |line: &String| {
         let seconds: f64 = line.trim().parse().ok()?;
@@ -59,7 +59,7 @@ pub(super) fn seconds_file(path: &Path, start: Time) -> Result<Vec<Option<Time>>
     Ok(lines(path)?.iter().map(time).collect())
 }
 
-/// The lines of a list; none if it is not there.
+/// The lines of a list; empty if the file is missing.
 fn lines(path: &Path) -> Result<Vec<String>, RecordingError> {
     let error = |source| RecordingError::Io { path: path.to_owned(), source };
     match std::fs::metadata(path) {
@@ -71,7 +71,7 @@ fn lines(path: &Path) -> Result<Vec<String>, RecordingError> {
     }
 }
 
-/// `2011-09-26 13:02:25.594360375`, taken as UTC.
+/// Parses `2011-09-26 13:02:25.594360375` as UTC.
 fn parse_date(text: &str) -> Option<Time> {
     let (date, time) = text.trim().split_once(' ')?;
     let mut date = date.split('-').map(|part| part.parse::<i64>().ok());

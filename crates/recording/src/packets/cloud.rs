@@ -1,4 +1,4 @@
-//! Sweeps as clouds in the layout of Velodyne's ROS driver.
+//! Converts sweeps to clouds with the layout of Velodyne's ROS driver.
 
 use std::sync::Arc;
 
@@ -6,7 +6,7 @@ use portolan_lidar_packets::Sweep;
 
 use crate::{FieldType, Header, PointCloud2, PointField};
 
-/// x, y, z, intensity and time as `f32`, ring as `u16`.
+/// Size of a point, bytes: x, y, z, intensity and time as `f32`, ring as `u16`.
 const POINT_BYTES: usize = 22;
 
 /// The points of a sweep, each with its time in seconds after the stamp.

@@ -1,4 +1,4 @@
-//! What packets of sensors hold, as messages.
+//! Converts packets of sensors to messages.
 
 mod cloud;
 mod unpack;
@@ -17,10 +17,10 @@ use crate::{Header, Imu, Message};
 pub(crate) use cloud::cloud_of;
 pub(crate) use unpack::unpacked;
 
-/// Frame of clouds and IMU of an Ouster, as its driver names it.
+/// Frame of the clouds and IMU samples of an Ouster, as its driver names it.
 pub(crate) const OUSTER_FRAME: &str = "os_sensor";
 
-/// Type of the messages that packets become.
+/// Type of the messages that packets are converted to.
 pub(crate) fn type_name(source: &PacketSource) -> &'static str {
     match source {
         PacketSource::Velodyne(_) | PacketSource::OusterLidar(..) => "sensor_msgs/PointCloud2",
@@ -35,12 +35,12 @@ pub(crate) struct PacketMessages {
 }
 
 impl PacketMessages {
-    /// Messages are in a frame.
+    /// Decodes packets of `source`; its messages are in `frame`.
     pub fn new(source: &PacketSource, frame: &str) -> Self {
         Self { decoder: source.decoder(), frame: frame.into() }
     }
 
-    /// Adds a packet that arrived at a time, of a sensor with a clock; what is complete goes to `give`.
+    /// Adds a packet with its time of arrival and the clock of its sensor; complete messages go to `give`.
     pub fn push(
         &mut self,
         packet: (&[u8], Time),
@@ -52,7 +52,7 @@ impl PacketMessages {
         self.decoder.push(packet, clock, issues, &mut |measured| give(message(measured, frame)));
     }
 
-    /// What is left at the end.
+    /// The last, incomplete message.
     pub fn finish(&mut self) -> Option<Message> {
         self.decoder.finish().map(|measured| message(measured, &self.frame))
     }
@@ -65,7 +65,7 @@ fn message(measured: Measured, frame: &Arc<str>) -> Message {
     }
 }
 
-/// A sample without an orientation, of unknown uncertainty.
+/// Converts an IMU sample: no orientation, unknown uncertainty.
 fn imu(sample: &ImuSample, frame: &Arc<str>) -> Imu {
     Imu {
         header: Header { stamp: sample.time, frame_id: Arc::clone(frame) },

@@ -1,4 +1,4 @@
-//! Bags of packets made by hand.
+//! Reads synthetic bags of packets.
 
 use portolan_geometry::{Duration, Time};
 
@@ -9,7 +9,8 @@ fn arrival() -> Time {
     Time::from_ros(1_700_000_000, 0)
 }
 
-/// A packet of a VLP-16: blocks from an azimuth (hundredths of a degree) on, 40 apart, all ranges the same.
+/// A packet of a VLP-16: blocks start at an azimuth (hundredths of a degree) and are 40 apart; all ranges are
+/// equal.
 fn puck_packet(azimuth: u16, range: u16, microseconds: u32) -> Vec<u8> {
     let mut packet = Vec::new();
     for block in 0..12_u16 {
@@ -25,7 +26,7 @@ fn puck_packet(azimuth: u16, range: u16, microseconds: u32) -> Vec<u8> {
     packet
 }
 
-/// A packet of an Ouster with two beams, of the first layout: 16 columns of 100 µs.
+/// A packet of an Ouster with two beams in the legacy layout: 16 columns of 100 µs.
 fn ouster_packet(frame: u16, first: u16, range: u32) -> Vec<u8> {
     let mut packet = Vec::new();
     for column in first..first + 16 {
@@ -125,9 +126,10 @@ fn lidar_and_imu_of_an_ouster_share_its_clock() {
         (of(0), of(1))
     };
     let (lidar, imu) = stamps("ouster");
-    // By the sensor's clock, 200 columns of 100 µs from the first packet of the lidar and 10 ms of the IMU.
+    // In the sensor's clock the first lidar packet is at 20 ms (column 200, 100 µs per column), the first IMU
+    // packet at 10 ms.
     assert_eq!(imu[0] - lidar[0], Duration::from_seconds(0.01 - 0.02), "{lidar:?} {imu:?}");
-    // It does not depend on what is read.
+    // Stamps do not depend on which topics are read.
     assert_eq!(stamps("imu").1, imu);
     assert_eq!(stamps("lidar").0, lidar);
 }

@@ -1,4 +1,4 @@
-//! Bags of raw packets (`velodyne_msgs/VelodyneScan`, Ouster's `PacketMsg`), read as clouds.
+//! Reads bags of raw packets (`velodyne_msgs/VelodyneScan`, Ouster's `PacketMsg`) as clouds.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use super::{OUSTER_FRAME, PacketMessages, type_name};
 use crate::{Message, MessageReader, PacketKind, RecordedMessage, Recording, RecordingError, TopicInfo};
 use portolan_ros_messages::MessageKind;
 
-/// So many messages are looked at to find out what a topic of packets holds.
+/// Number of messages that are read to find out what the topics with packets contain.
 const LOOK: usize = 400;
 
 /// A recording whose packets are read as clouds and IMU samples.
@@ -25,17 +25,17 @@ struct Unpacked {
     issues: Vec<Issue>,
 }
 
-/// A topic whose packets are understood.
+/// A topic whose packets can be decoded.
 struct TopicOfPackets {
     source: PacketSource,
     frame: String,
-    /// Number of its sensor's clock.
+    /// Index of its sensor's clock.
     clock: usize,
     /// Whether each packet becomes a message.
     is_one_to_one: bool,
 }
 
-/// Types whose messages are decoded as clouds, each by itself.
+/// Whether each message of a type is decoded to one cloud.
 fn holds_cloud(type_name: &str) -> bool {
     matches!(
         MessageKind::from_type_name(type_name),
@@ -47,7 +47,7 @@ fn holds_packets(type_name: &str) -> bool {
     matches!(type_name.rsplit('/').next(), Some("VelodyneScan" | "PacketMsg"))
 }
 
-/// The recording itself, or one that shows its packets as clouds.
+/// The recording itself, or one whose packets are decoded to clouds.
 pub(crate) fn unpacked(inner: Box<dyn Recording>) -> Result<Box<dyn Recording>, RecordingError> {
     let topics = inner.topics();
     if !topics.iter().any(|t| holds_packets(&t.type_name) || holds_cloud(&t.type_name)) {
@@ -78,7 +78,7 @@ fn is_metadata(topic: &TopicInfo) -> bool {
     &*topic.type_name == "std_msgs/String" && topic.topic.ends_with("metadata")
 }
 
-/// What was seen of the packets.
+/// Packets and metadata seen in the first messages.
 #[derive(Default)]
 struct Look {
     topics: BTreeMap<Arc<str>, SeenTopic>,
@@ -86,21 +86,21 @@ struct Look {
     metadata: BTreeMap<Arc<str>, OusterMetadata>,
 }
 
-/// What was seen of the packets of a topic.
+/// Properties of the packets of a topic.
 struct SeenTopic {
     kind: PacketKind,
-    /// The first packet, and when it arrived.
+    /// The first packet and its time of arrival.
     first: (Vec<u8>, Time),
     largest_column: u16,
     frame: String,
 }
 
-/// When a packet arrived.
+/// Time of arrival of a packet: its stamp, else the log time.
 fn arrival_of(stamp: Option<Time>, log_time: Time) -> Time {
     stamp.filter(|s| *s != Time::UNIX_EPOCH).unwrap_or(log_time)
 }
 
-/// The part of a topic's name that its node gives.
+/// The part of a topic's name that comes from its node.
 fn node(topic: &str) -> &str {
     topic.rsplit_once('/').map_or("", |(node, _)| node)
 }
@@ -137,7 +137,7 @@ impl Look {
         Ok(())
     }
 
-    /// Metadata of the same node, or of the same serial number, or the only ones.
+    /// Metadata of the same node, else of the same serial number, else the only metadata.
     fn metadata_of(&self, topic: &str, packet: &[u8]) -> Option<&OusterMetadata> {
         let serial = PacketHeader::of(packet).serial(packet);
         let same_node = || self.metadata.iter().find(|(name, _)| node(name) == node(topic));
@@ -244,7 +244,7 @@ impl Recording for Unpacked {
 
 struct UnpackedReader {
     inner: Box<dyn MessageReader>,
-    /// By topic: number of the clock, and what decodes its packets.
+    /// By topic: index of the clock, and the decoder of its packets.
     decoders: BTreeMap<Arc<str>, (usize, PacketMessages)>,
     clocks: Vec<SensorTime>,
     ready: VecDeque<RecordedMessage>,
@@ -263,7 +263,7 @@ impl UnpackedReader {
         };
         let decoder = self.decoders.get_mut(&topic);
         let Some((clock, decoder)) = decoder.and_then(|(i, d)| Some((self.clocks.get_mut(*i)?, d))) else {
-            // Of no known sensor, which was counted, or metadata.
+            // Metadata, or packets of an unknown sensor, which was counted already.
             let bytes = packets.packets.iter().map(|(_, bytes)| bytes.len()).sum();
             let message = Message::Other { type_name: packets.kind.type_name().into(), bytes };
             self.ready.push_back(RecordedMessage { topic, log_time, message });

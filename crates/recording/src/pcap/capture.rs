@@ -1,4 +1,4 @@
-//! Captures of the network: the classic `pcap` format and `pcapng`, either byte order.
+//! Reads captures of network traffic: the classic `pcap` format and `pcapng`, in either byte order.
 
 use portolan_geometry::{Duration, Time};
 
@@ -6,12 +6,12 @@ use crate::RecordingError;
 use crate::container::{FileBytes, Source};
 use portolan_issue::{IssueKind, IssueLog};
 
-/// A longer packet or block is not believed.
+/// Maximum length of a captured packet and of a block, bytes; larger lengths are taken as damage.
 const MAX_PACKET: u32 = 1 << 20;
 const MAX_BLOCK: u32 = 1 << 24;
-/// Interfaces of one section that are distinguished.
+/// Maximum number of interfaces of one section; further ones are ignored.
 const MAX_INTERFACES: usize = 256;
-/// The file is read in pieces of this size.
+/// The file is read in pieces of this size, bytes.
 const PIECE: u64 = 1 << 20;
 
 /// Whether bytes begin like a capture.
@@ -28,9 +28,9 @@ pub(crate) fn sniff(prefix: &[u8]) -> bool {
 
 /// One captured frame.
 pub(crate) struct Frame<'a> {
-    /// When it was captured; none where the format does not say.
+    /// Time of capture; none where the format does not give it.
     pub time: Option<Time>,
-    /// What kind of frames the interface has (LINKTYPE of pcap).
+    /// Type of the frames of the interface (LINKTYPE of pcap).
     pub link_type: u32,
     pub bytes: &'a [u8],
 }
@@ -38,7 +38,7 @@ pub(crate) struct Frame<'a> {
 #[derive(Clone, Copy, Debug)]
 struct Interface {
     link_type: u32,
-    /// Units of a second in its times.
+    /// Units of its times per second.
     ticks_per_second: u64,
 }
 
@@ -61,7 +61,7 @@ pub(crate) struct CaptureReader {
 }
 
 impl CaptureReader {
-    /// Starts at the beginning; none if the bytes are no capture.
+    /// Starts at the beginning; none if the bytes are not a capture.
     pub fn open(source: &Source) -> Result<Option<Self>, RecordingError> {
         let mut file = source.open()?;
         let head = file.peek(0, 24)?.to_vec();
@@ -83,7 +83,7 @@ impl CaptureReader {
         self.position
     }
 
-    /// The next frame; none at the end, or where the rest cannot be understood.
+    /// The next frame; none at the end, or if the rest cannot be parsed.
     pub fn next_frame(&mut self, issues: &mut IssueLog) -> Result<Option<Frame<'_>>, RecordingError> {
         match self.format {
             Format::Classic { ticks_per_second, link_type } => {
@@ -182,7 +182,7 @@ impl CaptureReader {
         Ok(Some(Frame { time, link_type, bytes }))
     }
 
-    /// Bytes of the file, none if they are not all there.
+    /// `count` bytes of the file from `at`; none if the file ends before.
     fn bytes(&mut self, at: u64, count: usize) -> Result<Option<&[u8]>, RecordingError> {
         let end = at.saturating_add(count as u64);
         if end > self.file.length() {
@@ -198,11 +198,11 @@ impl CaptureReader {
 }
 
 fn classic(head: &[u8], ticks_per_second: u64, is_big: bool) -> Format {
-    // The upper bits of the link type say something about check sums.
+    // The upper bits of the link type describe check sums.
     Format::Classic { ticks_per_second, link_type: u32_of(head, 20, is_big) & 0x0fff_ffff }
 }
 
-/// Kind of frames and unit of times of an interface block.
+/// Parses the type of frames and the unit of times of an interface block.
 fn interface_of(block: &[u8], is_big: bool) -> Interface {
     let link_type = u32::from(u16_of(block, 8, is_big));
     let mut ticks_per_second = 1_000_000;

@@ -1,4 +1,5 @@
-//! What lies beside a capture: metadata of Ouster's sensors, found by serial number or name, and a calibration.
+//! Reads files beside a capture: metadata of Ouster sensors, found by serial number or file name, and a
+//! calibration.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -6,30 +7,32 @@ use std::path::Path;
 use portolan_issue::{Issue, IssueKind, IssueLog};
 use portolan_lidar_packets::{Laser, OusterMetadata, PacketHeader, PacketLayout, parse_calibration};
 
-/// Longer files beside a capture are no descriptions of a sensor.
+/// Maximum size of the description of a sensor, bytes; longer files are ignored.
 const MAX_DESCRIPTION: u64 = 1 << 22;
-/// So many entries of the folder are looked at, so many files are read, and so many bytes of them.
+/// Limits on the folder of a capture: entries that are listed, files that are read, and their total size in
+/// bytes.
 const MAX_ENTRIES: usize = 1 << 16;
 const MAX_FILES: usize = 256;
 const MAX_BYTES: u64 = 1 << 25;
 
-/// What was seen of a lidar.
+/// Properties of a lidar from its packets.
 pub(super) struct Seen<'a> {
     /// Its first packet.
     pub packet: &'a [u8],
-    /// To which port it sends.
+    /// Port to which it sends.
     pub port: u16,
     pub largest_column: u16,
 }
 
 impl Seen<'_> {
-    /// Serial number and number of the start, as packets tell them by their look.
+    /// Serial number and initialization number from the packets, with the layout of the metadata or a guessed
+    /// one.
     fn identity(&self, metadata: &OusterMetadata) -> (Option<u64>, Option<u32>) {
         let layout = metadata.layout_of(self.packet).or_else(|| PacketLayout::guess(self.packet));
         layout.map_or((None, None), |of| (of.serial(self.packet), of.initialization(self.packet)))
     }
 
-    /// The serial number without metadata.
+    /// The serial number, without metadata.
     fn serial(&self) -> Option<u64> {
         match PacketLayout::guess(self.packet) {
             Some(layout) => layout.serial(self.packet),
@@ -38,21 +41,21 @@ impl Seen<'_> {
     }
 }
 
-/// How the name of a file goes with that of the capture; the nearest is the greatest.
+/// How well the name of a file matches that of the capture; the best match is the greatest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Likeness {
-    /// Nothing, or what any two names may have in common.
+    /// No match, or no more than any two names may have in common.
     Chance,
-    /// So many characters of whole words.
+    /// Whole words match; their total number of characters.
     Words(usize),
-    /// `NAME_0`, as ouster-cli writes them: one for each sensor.
+    /// `NAME_0`, as ouster-cli names its files: one for each sensor.
     Numbered,
     Same,
 }
 
 impl Likeness {
-    /// Names are without their endings. Words in common tell something if one name is made of them alone, or if there are
-    /// several with a digit, as in a model or a date.
+    /// Compares names without their extensions. Common words count if one name consists only of them, or if
+    /// there are several and one has a digit, as in a model or a date.
     fn of(capture: &str, file: &str) -> Self {
         if capture == file {
             return Self::Same;
@@ -78,23 +81,23 @@ impl Likeness {
     }
 }
 
-/// Metadata in a file.
+/// A metadata file.
 struct Candidate {
     file: String,
     likeness: Likeness,
     metadata: OusterMetadata,
 }
 
-/// What lies beside a capture.
+/// The descriptions found beside a capture.
 #[derive(Default)]
 pub(super) struct Descriptions {
-    /// The likeliest name first.
+    /// Sorted by name, the best match first.
     candidates: Vec<Candidate>,
     pub calibration: Option<Vec<Laser>>,
 }
 
 impl Descriptions {
-    /// All metadata in the folder of a capture, and the calibration of its name.
+    /// Reads all metadata in the folder of a capture, and the calibration file with the name of the capture.
     pub fn beside(capture: Option<&Path>) -> Self {
         let Some(capture) = capture else { return Self::default() };
         let calibration = |ending: &str| short_text(&capture.with_extension(ending)).map(|(text, _)| text);
@@ -106,12 +109,12 @@ impl Descriptions {
         }
     }
 
-    /// Bytes of lidar packets, as metadata tell them.
+    /// Sizes of lidar packets according to the metadata, bytes.
     pub fn packet_lengths(&self) -> BTreeSet<usize> {
         self.candidates.iter().filter_map(|candidate| candidate.metadata.packet_bytes()).collect()
     }
 
-    /// The metadata of one lidar of all: by its serial number, else by the name of the file.
+    /// The metadata of one of the lidars: by its serial number, else by the name of the file.
     pub fn metadata_of(
         &self,
         lidar: &Seen<'_>,
@@ -143,7 +146,8 @@ impl Descriptions {
         Some(&found.metadata)
     }
 
-    /// Metadata of the serial number that packets tell; of several those that fit, of the same start, of the nearest name.
+    /// Metadata with the serial number of the packets. Among several it prefers those that match the packets,
+    /// then those with the same initialization number, then those with the best match of the name.
     fn of_serial(&self, lidar: &Seen<'_>) -> Option<&Candidate> {
         let own = self.candidates.iter().filter(|candidate| {
             let serial = candidate.metadata.serial;
@@ -160,13 +164,14 @@ impl Descriptions {
         only(own.into_iter().filter(|candidate| rank(candidate) == best), lidar.packet)
     }
 
-    /// Metadata by name, that are of none of the lidars whose serial numbers are known.
+    /// Metadata by name, unless they belong to another lidar whose serial number is known.
     fn of_name(&self, lidar: &Seen<'_>, others: &[u64]) -> Option<&Candidate> {
         let is_free = |candidate: &&Candidate| {
             let serial = candidate.metadata.serial;
             let own = lidar.identity(&candidate.metadata).0;
             let is_of_another = serial.is_some_and(|of| own != serial && others.contains(&of));
-            // Names do not count against serial numbers, but that which was chosen for the capture.
+            // Different serial numbers exclude metadata, unless their file has the name of the capture: then
+            // the user chose it.
             let contradicts = own.is_some() && serial.is_some() && own != serial;
             !is_of_another && (!contradicts || candidate.likeness == Likeness::Same)
         };
@@ -175,7 +180,8 @@ impl Descriptions {
         let fits = |candidate: &&&Candidate| candidate.metadata.describe(lidar.packet, lidar.largest_column);
         let best = free.iter().filter(fits).map(|candidate| candidate.likeness).max();
         let Some(best) = best else {
-            // Of another setting: their angles may do, else it is told that they do not fit.
+            // Metadata of another configuration. Their beam angles may still apply; otherwise it is reported
+            // that they do not match.
             return free.into_iter().find(|candidate| candidate.likeness == Likeness::Same);
         };
         let nearest = || free.iter().filter(fits).filter(|candidate| candidate.likeness == best).copied();
@@ -184,7 +190,7 @@ impl Descriptions {
     }
 }
 
-/// The first of candidates that all mean the same; none if they do not, or if there are none.
+/// The first of candidates that are all equivalent; none if they are not, or if there are none.
 fn only<'a>(mut candidates: impl Iterator<Item = &'a Candidate>, packet: &[u8]) -> Option<&'a Candidate> {
     let first = candidates.next()?;
     candidates.all(|other| first.metadata.agrees(&other.metadata, packet)).then_some(first)
@@ -194,14 +200,14 @@ fn found_in(candidate: &Candidate, reason: &str) -> Issue {
     Issue::new(IssueKind::OusterMetadataFound).with("file", &candidate.file).with("reason", reason)
 }
 
-/// A file that is not long, and its size.
+/// The text of a short file, and its size in bytes.
 fn short_text(path: &Path) -> Option<(String, u64)> {
     let size = std::fs::metadata(path).ok().filter(std::fs::Metadata::is_file)?.len();
     let text = if size <= MAX_DESCRIPTION { std::fs::read_to_string(path).ok() } else { None };
     Some((text?, size))
 }
 
-/// All metadata in the folder, those with the likeliest names first, others in order of name.
+/// All metadata in the folder, sorted by the match of the name, then by name.
 fn candidates_beside(capture: &Path) -> Vec<Candidate> {
     let Some(stem) = capture.file_stem().map(|stem| stem.to_string_lossy()) else { return Vec::new() };
     let folder = capture.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));

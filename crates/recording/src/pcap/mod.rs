@@ -1,8 +1,8 @@
-//! Captures of the packets that lidars send over the network (`.pcap`, `.pcapng`).
+//! Reads captures of the packets that lidars send over the network (`.pcap`, `.pcapng`).
 //!
-//! Sensors are found by their packets: Velodyne's data packets, and Ouster's lidar and IMU packets. What a
-//! sensor cannot tell in its packets is read from files beside the capture: metadata of an Ouster (`.json`), and
-//! `NAME.yaml` (calibration of a Velodyne).
+//! Sensors are found by their packets: data packets of Velodyne, and lidar and IMU packets of Ouster.
+//! Parameters that are not in the packets are read from files beside the capture: metadata of an Ouster
+//! (`.json`), and `NAME.yaml` (calibration of a Velodyne).
 
 mod capture;
 mod descriptions;
@@ -29,14 +29,14 @@ use sensors::{CapturedSensor, Kind, Senders, Sensors, Stream};
 
 pub(crate) use capture::sniff;
 
-/// So many frames are looked at to find the sensors.
+/// Number of frames that are read to find the sensors.
 const LOOK: usize = 20_000;
 
 /// A capture.
 struct Capture {
     source: Source,
     sensors: Sensors,
-    /// Bytes of lidar packets that are known from metadata.
+    /// Sizes of lidar packets according to metadata, bytes.
     lengths: BTreeSet<usize>,
     first: Option<Time>,
     size: u64,
@@ -64,7 +64,7 @@ pub(crate) fn open(source: Source) -> Result<Box<dyn Recording>, RecordingError>
             senders.add(endpoint, &packet, now, &lengths);
         }
     }
-    // What was wrong will be counted again by every pass.
+    // Issues are not kept here, because every pass over the capture counts them again.
     let mut issues = IssueLog::default();
     let sensors = senders.sensors(&descriptions, &mut issues);
     if sensors.by_sender.is_empty() {
@@ -93,7 +93,7 @@ impl Recording for Capture {
     }
 
     fn time_range(&self) -> Option<(Time, Time)> {
-        // The end is known only after everything was read.
+        // The end is only known after the whole capture was read.
         None
     }
 
@@ -143,21 +143,21 @@ struct ChosenSensor {
 struct CapturePass {
     reader: CaptureReader,
     datagrams: Datagrams,
-    /// All sensors, and the kinds of those that are read.
+    /// All sensors of the capture, and the kinds of those that are read.
     known: BTreeSet<Stream>,
     kinds: BTreeSet<Kind>,
     chosen: BTreeMap<Stream, ChosenSensor>,
     lengths: BTreeSet<usize>,
     clocks: Vec<SensorTime>,
     ready: VecDeque<RecordedMessage>,
-    /// Never goes back, so that messages come in order.
+    /// Time of the last frame; it never decreases, so messages are in order.
     now: Time,
     issues: IssueLog,
     ended: bool,
 }
 
 impl CapturePass {
-    /// Takes one frame in; false at the end.
+    /// Processes one frame; false at the end.
     fn step(&mut self) -> Result<bool, RecordingError> {
         let Some(frame) = self.reader.next_frame(&mut self.issues)? else { return Ok(false) };
         let time = frame.time.unwrap_or(self.now);
@@ -171,7 +171,8 @@ impl CapturePass {
             self.issues.add(IssueKind::RareSender);
             return Ok(true);
         }
-        // What looks like nothing is damaged, which the first decoder of its endpoint counts.
+        // A packet of no known format is damaged. It is given to the first decoder of its endpoint, which
+        // counts it.
         let first = || self.known.range(Stream::least(endpoint)..).next().filter(|s| s.endpoint == endpoint);
         let sensor = known.or_else(|| first().copied()).and_then(|stream| self.chosen.get_mut(&stream));
         let Some(sensor) = sensor else { return Ok(true) };

@@ -1,4 +1,4 @@
-//! The sensors of a capture, found by what they send.
+//! Finds the sensors of a capture by their packets.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -13,10 +13,10 @@ use portolan_lidar_packets::{
 use super::descriptions::{Descriptions, Seen};
 use crate::packets::OUSTER_FRAME;
 
-/// More senders than this are not distinguished.
+/// Maximum number of senders; further ones are ignored.
 const MAX_ENDPOINTS: usize = 256;
-/// A sender with fewer packets than this part of those of the busiest of its kind is no sensor: its address
-/// was damaged on the way.
+/// A sender is not a sensor if it has fewer packets than the busiest sender of its kind divided by this: its
+/// address was damaged in transit.
 const HARDLY_ANY: u64 = 100;
 
 /// One sensor of a capture.
@@ -26,7 +26,7 @@ pub(super) struct CapturedSensor {
     pub frame: String,
     pub kind: Kind,
     pub source: PacketSource,
-    /// Number of its clock.
+    /// Index of its clock.
     pub clock: usize,
 }
 
@@ -35,11 +35,11 @@ pub(super) struct CapturedSensor {
 pub(super) struct Sensors {
     pub by_sender: BTreeMap<Stream, CapturedSensor>,
     pub clocks: Vec<SensorTime>,
-    /// Their models, for people.
+    /// Names of their models, for messages.
     pub models: String,
 }
 
-/// What a packet is one of, by its look.
+/// Kind of a packet, recognised by its format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Kind {
     Velodyne,
@@ -47,17 +47,18 @@ pub(super) enum Kind {
     OusterImu,
 }
 
-/// Packets of one kind of one sensor. Several sensors may send to the same port, even by way of the same address.
+/// Packets of one kind from one sensor. Several sensors may send to the same port, even from the same
+/// address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Stream {
     pub endpoint: Endpoint,
     pub kind: Kind,
-    /// The serial number; where packets of a lidar do not tell it their length.
+    /// The serial number; the length of the packets for lidar packets without one.
     which: u64,
 }
 
 impl Stream {
-    /// None if a packet is of no sensor. `lengths` are those of lidar packets that are known from metadata.
+    /// None if a packet is not from a sensor. `lengths` are sizes of lidar packets according to metadata.
     pub fn of(endpoint: Endpoint, packet: &[u8], lengths: &BTreeSet<usize>) -> Option<Self> {
         let (kind, which) = if is_velodyne(packet) {
             (Kind::Velodyne, 0)
@@ -74,14 +75,14 @@ impl Stream {
         Some(Self { endpoint, kind, which })
     }
 
-    /// Before all streams of an endpoint.
+    /// The lower bound of all streams of an endpoint.
     pub fn least(endpoint: Endpoint) -> Self {
         Self { endpoint, kind: Kind::Velodyne, which: 0 }
     }
 }
 
 impl Kind {
-    /// Topic and frame of the first sensor of its kind.
+    /// Topic and frame of the first sensor of a kind.
     fn names(self) -> (&'static str, &'static str) {
         match self {
             Self::Velodyne => ("/velodyne_points", "velodyne"),
@@ -91,22 +92,22 @@ impl Kind {
     }
 }
 
-/// What was seen of a sender.
+/// Properties of a sender.
 struct Sender {
     packets: u64,
     largest_column: u16,
-    /// Its first packet, and when that arrived.
+    /// Its first packet and the packet's time of arrival.
     first: (Vec<u8>, Time),
 }
 
-/// Everything that sends packets of sensors.
+/// All senders of packets of sensors.
 #[derive(Default)]
 pub(super) struct Senders {
     seen: BTreeMap<Stream, Sender>,
 }
 
 impl Senders {
-    /// Takes a datagram into account.
+    /// Adds a datagram.
     pub fn add(&mut self, endpoint: Endpoint, packet: &[u8], arrival: Time, lengths: &BTreeSet<usize>) {
         let Some(stream) = Stream::of(endpoint, packet, lengths) else { return };
         if self.seen.len() >= MAX_ENDPOINTS && !self.seen.contains_key(&stream) {
@@ -118,7 +119,7 @@ impl Senders {
         sender.largest_column = sender.largest_column.max(PacketLayout::largest_column(packet));
     }
 
-    /// Gives every sensor a topic: the first of a kind without a number.
+    /// Gives every sensor a topic; the first of a kind has no number.
     pub fn sensors(&self, descriptions: &Descriptions, issues: &mut IssueLog) -> Sensors {
         let is_lidar = |stream: &Stream| stream.kind == Kind::OusterLidar;
         let has_ouster = self.seen.keys().any(is_lidar);
@@ -132,7 +133,8 @@ impl Senders {
             let (packet, _) = &sender.first;
             let source = match stream.kind {
                 Kind::Velodyne => Some(PacketSource::Velodyne(descriptions.calibration.clone())),
-                // Packets with one sample have nothing that is theirs but the length.
+                // IMU packets with one sample can only be recognised by their length, so there must be an
+                // Ouster lidar, too.
                 Kind::OusterImu => {
                     (has_ouster || ouster_imu_serial(packet).is_some()).then_some(PacketSource::OusterImu)
                 }

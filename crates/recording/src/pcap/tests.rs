@@ -1,4 +1,4 @@
-//! Captures made by hand, whole and damaged.
+//! Reads synthetic captures, intact and damaged.
 
 use std::sync::Arc;
 
@@ -138,11 +138,11 @@ fn damage_is_counted() {
 fn damage_beside_packets_costs_none_of_them() {
     let whole = next_generation(&all_frames(1480));
     let (expected, _) = read(whole.clone()).unwrap();
-    // Blocks one after the other: section 28 bytes, interface 32, statistics 28, packets.
+    // Order of blocks: section (28 bytes), interface (32), statistics (28), packets.
     let first_packet = 28 + 32 + 28;
     let packet_bytes = u32::from_le_bytes(whole[first_packet + 4..first_packet + 8].try_into().unwrap());
     let trailer = first_packet + packet_bytes as usize - 4;
-    // The section's last bytes are its length once more; the last option of the interface, its end, gets one.
+    // The last bytes of the section repeat its length; the end option of the interface gets a length.
     for (at, value) in [(trailer, 0x55), (24, 0x55), (28 + 26, 0xff)] {
         let mut damaged = whole.clone();
         damaged[at] = value;
@@ -159,7 +159,7 @@ fn damage_beside_packets_costs_none_of_them() {
 fn a_damaged_address_is_no_sensor() {
     let azimuth = |i: u16| (u32::from(i) * 480 % 36_000) as u16;
     let mut all: Vec<Vec<u8>> = (0..200).flat_map(|i| frames(&packet(azimuth(i)), i, 1480)).collect();
-    // An address before that of the lidar.
+    // A source address that sorts before that of the lidar.
     let source = all[60].windows(4).position(|bytes| bytes == [192, 168, 1, 201]).unwrap();
     all[60][source] = 5;
     let (messages, issues) = read(classic(&all, false, false)).unwrap();

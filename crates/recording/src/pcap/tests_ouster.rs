@@ -1,4 +1,4 @@
-//! Captures of Ouster's sensors made by hand, and metadata beside them.
+//! Reads synthetic captures of Ouster sensors with metadata beside them.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use super::tests::{classic, frames};
 use crate::{Message, open};
 use portolan_issue::{Issue, IssueKind};
 
-/// Metadata of a sensor with 16 beams at an altitude; without a serial number those of the first layouts.
+/// Metadata of a sensor with 16 beams at one altitude angle; without a serial number in the legacy layout.
 fn metadata(serial: u64, start: u32, altitude: f64) -> String {
     let angles = |value: f64| format!("{:?}", vec![value; 16]);
     let profile = if serial == 0 { "LEGACY" } else { "RNG19_RFL8_SIG16_NIR16" };
@@ -19,7 +19,7 @@ fn metadata(serial: u64, start: u32, altitude: f64) -> String {
     )
 }
 
-/// A lidar packet of 16 beams, all ranges 10 m; without a serial number one of the first layouts.
+/// A lidar packet of 16 beams, all ranges 10 m; without a serial number in the legacy layout.
 fn lidar(serial: u64, start: u32, first: u16) -> Vec<u8> {
     let mut packet = if serial == 0 { Vec::new() } else { vec![0; 32] };
     if serial != 0 {
@@ -41,7 +41,7 @@ fn lidar(serial: u64, start: u32, first: u16) -> Vec<u8> {
     packet
 }
 
-/// The altitude of the first point by topic, and what was said of a capture of packets beside files.
+/// Reads a capture of packets beside files: the altitude angle of the first point by topic, and the issues.
 fn read(name: &str, packets: &[Vec<u8>], files: &[(&str, String)]) -> (Vec<(String, i32)>, Vec<Issue>) {
     let folder = tempfile::tempdir().unwrap();
     for (file, text) in files {
@@ -81,7 +81,7 @@ fn metadata_of_the_serial_number_are_right_whatever_their_name() {
     assert_eq!(altitudes, [("/ouster/points".to_owned(), 15)]);
     let told: Vec<&Issue> = issues.iter().filter(|i| i.kind == IssueKind::OusterMetadataFound).collect();
     assert!(told.len() == 1 && told[0].text().contains("some.json"), "{issues:?}");
-    // Of two for another start of the sensor none can be chosen.
+    // Neither of two files from other starts of the sensor can be chosen.
     let (_, issues) = read("drive.pcap", &[lidar(ONE, 9, 0)], &files[1..]);
     assert_eq!(count(&issues, IssueKind::NoOusterMetadata), 1, "{issues:?}");
 }
@@ -100,7 +100,7 @@ fn metadata_under_the_name_of_the_capture_are_believed_with_a_warning() {
     let files = [("drive.json", metadata(OTHER, 7, 5.0)), ("drive_2.json", metadata(OTHER + 1, 7, 5.0))];
     let (altitudes, issues) = read("drive.pcap", &[lidar(ONE, 7, 0)], &files);
     assert_eq!((altitudes[0].1, count(&issues, IssueKind::OtherOusterMetadata)), (5, 1), "{issues:?}");
-    // Not those of another sensor that is there, nor those under a mere likeness of the name.
+    // Metadata of another sensor in the capture are not used, nor are those whose file name is only similar.
     let both = [lidar(ONE, 7, 0), lidar(OTHER, 7, 0)];
     let (_, issues) = read("drive.pcap", &both, &files[..1]);
     assert_eq!(count(&issues, IssueKind::NoOusterMetadata), 1, "{issues:?}");
@@ -117,10 +117,10 @@ fn without_serial_numbers_names_decide() {
         (&[("OS-1-16_run_0.json", 10.0), ("OS-1-16.json", 5.0)], Some(10)),
         (&[("OS-1-16.json", 5.0), ("OS-1.json", 10.0)], Some(5)),
         (&[("OS-1-16_config.json", 5.0), ("OS-0-16_config.json", 10.0)], Some(5)),
-        // Two that mean the same, and two that do not.
+        // Two files that are equivalent, and two that are not.
         (&[("OS-1-16_run_0.json", 5.0), ("OS-1-16_run_1.json", 5.0)], Some(5)),
         (&[("OS-1-16_run_0.json", 5.0), ("OS-1-16_run_1.json", 10.0)], None),
-        // A word in common is chance.
+        // One common word is no match.
         (&[("OS-2-16.json", 5.0)], None),
         (&[("metadata.json", 5.0)], None),
     ];
@@ -148,7 +148,7 @@ fn packets_of_sensors_with_a_header_are_imu_zones_or_damaged() {
     assert!(issues.iter().all(|issue| !issue.lost_data()), "{issues:?}");
     let (_, issues) = read("drive.pcap", &[lidar(ONE, 7, 0), header(1, 900)], &files);
     assert_eq!(count(&issues, IssueKind::WrongOusterLength), 1, "{issues:?}");
-    // An IMU with a header needs no lidar to be known.
+    // IMU packets with a header are recognised without a lidar.
     let (altitudes, issues) = read("drive.pcap", &[imu, header(3, 680)], &files);
     assert!(altitudes.is_empty() && issues.iter().all(|issue| !issue.lost_data()), "{issues:?}");
 }

@@ -1,8 +1,8 @@
-//! ROS 1 bags, format 2.0.
+//! Reads and writes ROS 1 bags, format 2.0.
 //!
-//! A bag is a sequence of records, each a header of named fields and data. Messages and the descriptions
-//! of their connections lie in chunks, each followed by an index of its messages; an index of the chunks
-//! ends the file.
+//! A bag is a sequence of records, each with a header of named fields and data. Messages and the descriptions
+//! of their connections are in chunks, each followed by an index of its messages. An index of the chunks ends
+//! the file.
 
 pub(crate) mod record;
 mod scan;

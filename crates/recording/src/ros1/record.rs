@@ -6,10 +6,10 @@ use crate::container::{Compression, Content, FileBytes, Record, RecordFormat};
 /// First bytes of a bag.
 pub(crate) const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 
-/// Headers are small: topics and a few numbers.
+/// Maximum size of a record header, bytes: headers are small, with topics and a few numbers.
 const MAX_HEADER_BYTES: usize = 1 << 16;
 
-/// What a record is.
+/// Type of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Op {
     Message = 2,
@@ -20,7 +20,7 @@ pub(crate) enum Op {
     Connection = 7,
 }
 
-/// Header of a record: the fields of all kinds, those that it does not have being zero.
+/// Header of a record, with the fields of all types; fields that a record does not have are zero.
 #[derive(Clone, Debug)]
 pub(crate) struct Head {
     pub(crate) op: Op,
@@ -40,7 +40,7 @@ pub(crate) struct Head {
     pub(crate) index_offset: u64,
     pub(crate) connection_count: u32,
     pub(crate) chunk_count: u32,
-    /// `None` for a compression that is not known.
+    /// `None` for an unknown compression.
     pub(crate) compression: Option<Compression>,
     pub(crate) topic: Vec<u8>,
     pub(crate) encryptor: Vec<u8>,
@@ -53,8 +53,8 @@ impl Head {
     }
 }
 
-/// Named fields of a record header or of the data of a connection record. Yields `None` where the fields
-/// are malformed, and then ends.
+/// Iterates over the named fields of a record header, or of the data of a connection record. Yields `None`
+/// where the fields are malformed, and then ends.
 pub(crate) struct Fields<'a> {
     rest: &'a [u8],
 }
@@ -85,7 +85,7 @@ impl<'a> Iterator for Fields<'a> {
     }
 }
 
-/// Reads the header of the record that starts with these bytes.
+/// Parses the header of the record that starts with these bytes.
 pub(crate) fn parse_head(bytes: &[u8]) -> Option<Head> {
     let (header_bytes, rest) = bytes.split_first_chunk()?;
     let header_bytes = u32::from_le_bytes(*header_bytes) as usize;
@@ -162,7 +162,7 @@ pub(crate) fn time_value(value: &[u8]) -> Option<u64> {
     Some(u64::from(u32::from_le_bytes(*seconds)) * 1_000_000_000 + u64::from(nanoseconds))
 }
 
-/// The header of the record at `offset` of the file; `None` if there is no sound one.
+/// The header of the record at `offset` of the file; `None` if there is no valid one.
 pub(crate) fn peek_head(file: &mut FileBytes, offset: u64) -> Result<Option<Head>, RecordingError> {
     let Some(header_bytes) = file.peek(offset, 4)?.first_chunk().map(|b| u32::from_le_bytes(*b) as usize)
     else {
@@ -188,21 +188,21 @@ impl RecordFormat for BagFormat {
                 Content::Message { connection: head.connection, nanoseconds: head.time, payload: start..end }
             }
             Op::Connection => Content::Description(at..end),
-            _ => return None, // nothing else lies in chunks
+            _ => return None, // chunks have no other records
         };
         Some(Record { end, content })
     }
 
-    /// Every header has the field `op`: the records around each such field are tried.
+    /// Every header has the field `op`, so the records around each such field are tried.
     fn find_record(&self, data: &[u8], from: usize) -> Option<usize> {
         const PATTERN: &[u8] = b"\x04\0\0\0op=";
-        /// A header starts at most this far ahead of its field `op`.
+        /// Maximum distance from the start of a header to its field `op`, bytes.
         const MAX_BEHIND: usize = 512;
         let mut at = from;
         while let Some(found) = data.get(at..)?.windows(PATTERN.len()).position(|bytes| bytes == PATTERN) {
             let field = at + found;
             let earliest = field.saturating_sub(MAX_BEHIND).max(from);
-            // The farthest start first: a nearer one may leave out fields before `op`.
+            // Try the farthest start first: a nearer one may miss fields before `op`.
             let mut starts = earliest..(field + 1).saturating_sub(4);
             let sound = |start: &usize| {
                 let Some(header_bytes) = data.get(*start..).and_then(|rest| rest.first_chunk()) else {

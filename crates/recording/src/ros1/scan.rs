@@ -1,7 +1,7 @@
-//! From a bag to the segments that hold its messages.
+//! Finds the segments of a bag that hold its messages.
 //!
-//! The file is always walked record by record; a whole index at its end only spares reading the entries of
-//! the index records behind each chunk. So there is one way of opening bags, whole or damaged.
+//! The file is always read record by record. An intact index at its end only avoids reading the entries of
+//! the index records after each chunk. So intact and damaged bags are opened by the same code.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use crate::container::{
 };
 use portolan_issue::IssueKind;
 
-/// Finds everything between `start` and the index.
+/// Finds all segments between `start` and the index.
 pub(crate) fn scan(file: &mut FileBytes, start: u64, tail: Tail) -> Result<ChunkIndex, RecordingError> {
     let mut scan = Scan {
         file,
@@ -55,13 +55,13 @@ struct PendingChunk {
     segment: Segment,
     /// Messages per connection.
     counts: BTreeMap<u32, u64>,
-    /// Whether its index records are.
+    /// Whether its index records are valid.
     sound: bool,
-    /// Whether the index at the end of the file tells all about it.
+    /// Whether the index at the end of the file describes it completely.
     known: bool,
 }
 
-/// More index for one chunk (millions of messages) is not believed.
+/// Maximum size of the index of one chunk, bytes (millions of messages); larger ones are taken as damage.
 const MAX_INDEX_BYTES: u64 = 1 << 26;
 
 impl Scan<'_> {
@@ -85,7 +85,7 @@ impl Scan<'_> {
         Ok(())
     }
 
-    /// Where to go on behind bytes at `at` that are no record.
+    /// Offset at which reading continues after bytes at `at` that are not a record.
     fn skip_unreadable(&mut self, at: u64) -> Result<u64, RecordingError> {
         let next_chunk = self.next_known_chunk(at);
         if self.pending.as_ref().is_some_and(|pending| pending.known) {
@@ -100,12 +100,12 @@ impl Scan<'_> {
         Ok(next.unwrap_or(self.chunks_end).min(next_chunk))
     }
 
-    /// The next chunk behind `at` that the index mentions, or the end of the chunks.
+    /// Offset of the next chunk after `at` in the index, or the end of the chunks.
     fn next_known_chunk(&self, at: u64) -> u64 {
         self.chunks.range(at + 1..).next().map_or(self.chunks_end, |(offset, _)| *offset)
     }
 
-    /// Takes one record in; returns where the next one starts.
+    /// Processes one record; returns the offset of the next one.
     fn record(&mut self, at: u64, head: &Head) -> Result<u64, RecordingError> {
         let end = at + head.record_bytes();
         let fits = end <= self.chunks_end;
@@ -126,7 +126,7 @@ impl Scan<'_> {
         if fits {
             return Ok(end);
         }
-        // Its length is a lie, or the file ends here: look for more behind its header.
+        // Its length is wrong, or the file ends here: search for records after its header.
         let next = self.find_record(at + head.data_start)?;
         self.index.issues.add(IssueKind::TooLongRecord);
         Ok(next.unwrap_or(self.chunks_end).min(self.next_known_chunk(at)))
@@ -143,7 +143,7 @@ impl Scan<'_> {
         let lies = data + stored_bytes > next_chunk
             || (compression == Compression::None && stored_bytes != u64::from(head.size));
         if compression == Compression::None && (lies || stored_bytes > MAX_SEGMENT_BYTES) {
-            // Its records are as good outside of it.
+            // An uncompressed chunk needs no boundary: its records can be read as if they were outside of it.
             if lies {
                 self.index.issues.add(IssueKind::WrongChunkLength);
             }
@@ -174,13 +174,13 @@ impl Scan<'_> {
         Ok(data + stored_bytes)
     }
 
-    /// Takes in the index record of one connection of the chunk before it.
+    /// Processes the index record of one connection of the chunk before it.
     fn index_record(&mut self, at: u64, head: &Head) -> Result<u64, RecordingError> {
         let data = at + head.data_start;
         let entry_bytes = 12 * u64::from(head.count);
         let mut end = data + head.data_bytes;
         if entry_bytes != head.data_bytes {
-            // Some recorders wrote a wrong length: see at which of the two places a record follows.
+            // Some recorders wrote a wrong length: use the end at which a record follows.
             let right = data + entry_bytes;
             let follows = right == self.chunks_end || peek_head(self.file, right)?.is_some();
             if follows {
@@ -205,8 +205,8 @@ impl Scan<'_> {
         Ok(end)
     }
 
-    /// Ends the chunk before the current record. Without sound index records, or if they name unknown
-    /// connections, it is decompressed to see what is in it.
+    /// Completes the chunk before the current record. If its index records are missing or not valid, or name
+    /// unknown connections, the chunk is decompressed to find out what is in it.
     fn finish_pending(&mut self) -> Result<(), RecordingError> {
         let Some(mut pending) = self.pending.take() else { return Ok(()) };
         let known = |id: &u32| self.index.connections.contains_key(id);
@@ -246,9 +246,9 @@ impl Scan<'_> {
         }
     }
 
-    /// Where the next record starts that looks sound, at or behind `from`.
+    /// Offset of the next record that looks valid, at or after `from`.
     fn find_record(&mut self, from: u64) -> Result<Option<u64>, RecordingError> {
-        // Blocks overlap by more than a header, and grow because most often the next record is near.
+        // Blocks overlap by more than a header. They grow, because the next record is usually near.
         const OVERLAP: u64 = 1 << 11;
         let mut block_bytes = 1 << 13;
         let mut block = Vec::new();

@@ -1,4 +1,4 @@
-//! The index at the end of a bag.
+//! Reads the index at the end of a bag.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use crate::RecordingError;
 use crate::container::{Connection, FileBytes};
 use portolan_ros_messages::Encoding;
 
-/// What the index says of one chunk.
+/// Index entry of one chunk.
 #[derive(Clone, Debug)]
 pub(crate) struct ChunkInfo {
     /// Log times, nanoseconds.
@@ -21,26 +21,26 @@ pub(crate) struct ChunkInfo {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum TailState {
     Whole,
-    /// The recording was not ended properly.
+    /// The recording was not closed properly.
     Missing,
     Damaged,
 }
 
-/// The index: possibly only its readable part.
+/// The index, or the readable part of it.
 #[derive(Debug)]
 pub(crate) struct Tail {
     pub(crate) state: TailState,
-    /// Where chunks end: the start of a whole index, otherwise the end of the file.
+    /// End of the chunks: the start of a complete index, otherwise the end of the file.
     pub(crate) chunks_end: u64,
     pub(crate) connections: BTreeMap<u32, Connection>,
-    /// By offset of the chunk; empty unless the index is whole.
+    /// By offset of the chunk; empty unless the index is complete.
     pub(crate) chunks: BTreeMap<u64, ChunkInfo>,
 }
 
-/// Larger descriptions of connections are not believed.
+/// Maximum size of the description of a connection, bytes; larger ones are taken as damage.
 const MAX_DESCRIPTION_BYTES: u64 = 1 << 24;
 
-/// Reads the index that the bag header places at `offset`.
+/// Reads the index at `offset`, which the bag header gives.
 pub(crate) fn read(file: &mut FileBytes, offset: u64) -> Result<Tail, RecordingError> {
     let mut tail = Tail {
         state: TailState::Missing,
@@ -100,7 +100,7 @@ pub(crate) fn read_connection(
     }))
 }
 
-/// A connection from its topic and the fields that its record carries as data.
+/// Parses a connection from its topic and the fields in the data of its record.
 pub(crate) fn parse_connection(topic: &[u8], data: &[u8]) -> Option<Connection> {
     let mut type_name = None;
     for field in Fields::new(data) {

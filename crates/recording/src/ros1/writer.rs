@@ -1,4 +1,4 @@
-//! Writing bags.
+//! Writes ROS 1 bags.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -12,12 +12,12 @@ use crate::output_file::OutputFile;
 use crate::{BagCompression, RecordedMessage, RecordingError, RecordingWriter};
 use portolan_ros_messages::{Dialect, definition, encode, is_static_tf_topic, md5sum};
 
-/// Chunks are closed at this size, as `rosbag record` does.
+/// Size at which a chunk is closed, bytes; the same as in `rosbag record`.
 const CHUNK_BYTES: usize = 768 << 10;
-/// Header and padding of the bag header record.
+/// Size of the bag header record with its padding, bytes.
 const BAG_HEADER_BYTES: usize = 4096;
 
-/// Log time as it stands in a bag: seconds and nanoseconds, four bytes each.
+/// Log time in a bag: seconds and nanoseconds, four bytes each.
 type Stamp = [u8; 8];
 
 /// Writes a ROS 1 bag 2.0.
@@ -25,7 +25,7 @@ pub(crate) struct BagWriter {
     file: OutputFile,
     compression: BagCompression,
     connections: BTreeMap<(Arc<str>, String), u32>,
-    /// Their records, repeated in the index.
+    /// Connection records; the index repeats them.
     connection_records: Vec<Vec<u8>>,
     chunk: OpenChunk,
     chunks: Vec<WrittenChunk>,
@@ -65,7 +65,7 @@ impl BagWriter {
         Ok(writer)
     }
 
-    /// The bag header record; it is written again when the index is there.
+    /// The bag header record; it is overwritten when the index is complete.
     fn bag_header(&self, index_offset: u64) -> Vec<u8> {
         let fields: [Field<'_>; 4] = [
             (b"chunk_count", &(self.chunks.len() as u32).to_le_bytes()),

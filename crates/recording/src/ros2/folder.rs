@@ -1,4 +1,4 @@
-//! Folders with the files of one recording: ROS 2 bags with `metadata.yaml`, or bags recorded in parts.
+//! Finds the files of one recording in a folder: ROS 2 bags with `metadata.yaml`, or bags recorded in parts.
 
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
@@ -12,10 +12,10 @@ pub(crate) struct FolderFiles {
     pub(crate) issues: Vec<Issue>,
 }
 
-/// A longer description is not believed.
+/// Maximum size of `metadata.yaml`, bytes; a longer one is ignored.
 const MAX_METADATA_BYTES: u64 = 1 << 24;
 
-/// Finds the recording's files; `is_recording` tells whether a file is one. Without any, `None`.
+/// Finds the recording's files; `is_recording` decides whether a file is one. `None` if there are none.
 pub(crate) fn files(
     folder: &Path,
     is_recording: &dyn Fn(&Path) -> bool,
@@ -56,8 +56,8 @@ pub(crate) fn files(
     Ok((!files.is_empty()).then(|| FolderFiles { files, issues: issues.list() }))
 }
 
-/// The file that an entry of the metadata means. Old recorders put the folder's name in front; files
-/// outside of the folder are not followed.
+/// The file that an entry of the metadata refers to. Old recorders put the folder's name in front. Files
+/// outside of the folder are not opened.
 fn resolve(folder: &Path, entry: &str) -> Option<PathBuf> {
     use std::path::Component;
     let relative = Path::new(entry);
@@ -67,8 +67,8 @@ fn resolve(folder: &Path, entry: &str) -> Option<PathBuf> {
     as_written.into_iter().chain(by_name).find(|path| path.is_file())
 }
 
-/// The list `relative_file_paths` of a ROS 2 bag's metadata, as block (`- a.mcap`) or flow (`[a, b]`) list.
-/// This one list is all that is needed: topics and compression are known from the files themselves.
+/// Parses the list `relative_file_paths` of a ROS 2 bag's metadata, as block (`- a.mcap`) or flow (`[a, b]`)
+/// list. Nothing else is needed: topics and compression are known from the files themselves.
 fn relative_file_paths(yaml: &str) -> Vec<String> {
     let mut lines = yaml.lines().skip_while(|line| !line.trim_start().starts_with("relative_file_paths:"));
     let Some(first) = lines.next().and_then(|line| line.split_once(':')).map(|(_, rest)| rest.trim()) else {
@@ -96,7 +96,7 @@ fn unquoted(text: &str) -> String {
     }
 }
 
-/// Names in the order that people expect: `bag_2` before `bag_10`.
+/// Natural sort order of names: `bag_2` before `bag_10`.
 pub(crate) fn natural_order(a: &str, b: &str) -> Ordering {
     let (mut a_rest, mut b_rest) = (a, b);
     loop {
@@ -121,7 +121,7 @@ pub(crate) fn natural_order(a: &str, b: &str) -> Ordering {
     }
 }
 
-/// The digits that a text begins with, and what follows them.
+/// Splits a text after its leading digits.
 fn split_digits(text: &str) -> (&str, &str) {
     let digits = text.bytes().take_while(u8::is_ascii_digit).count();
     text.split_at_checked(digits).unwrap_or((text, ""))

@@ -1,4 +1,4 @@
-//! One set of queues that are merged in order of time (`spec/slam2d.md` §2).
+//! One set of queues that are merged by time (`spec/slam2d.md` §2).
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -7,34 +7,34 @@ use portolan_geometry::Time;
 use super::{CollatedItem, CollatorReport, SensorCounts, WaitLimit};
 use crate::SensorId;
 
-/// A sensor of a trajectory: what queues are ordered by.
+/// A sensor of a trajectory: the sort key of the queues.
 pub(super) type Key = (u32, SensorId);
 
-/// Data of one sensor that wait for others.
+/// Data of one sensor that wait for data of other sensors.
 struct Queue<P> {
     key: Key,
     waiting: VecDeque<(Time, P)>,
-    /// Nothing more will come.
+    /// No more data will be added.
     finished: bool,
-    /// The others went on without it, and it has not spoken since.
+    /// Data of the others were output without waiting for this sensor, and it has sent nothing since.
     stalled: bool,
     last_added: Option<Time>,
     counts: SensorCounts,
 }
 
-/// What is known of one trajectory.
+/// State of one trajectory.
 #[derive(Default)]
 struct TrajectoryProgress {
-    /// From here on all its sensors have data.
+    /// Time from which on all sensors of the trajectory have data.
     common_start: Option<Time>,
     last_dispatched: Option<Time>,
 }
 
-/// What the merging decides to do next.
+/// Next action of the merging.
 enum Step {
-    /// Give out the front of a queue.
+    /// Output the front of a queue.
     Dispatch(usize),
-    /// Drop the front of a queue: it lies before the common start.
+    /// Drop the front of a queue: it is before the common start.
     Drop(usize),
     /// Wait for more data in a queue.
     Wait(usize),
@@ -42,12 +42,12 @@ enum Step {
     Idle,
 }
 
-/// Several queues, merged.
+/// Several queues that are merged.
 pub(super) struct Queues<P> {
     /// In ascending order of the key.
     queues: Vec<Queue<P>>,
     trajectories: BTreeMap<u32, TrajectoryProgress>,
-    /// Counts of queues that are done.
+    /// Counts of removed queues, whose sensors are finished.
     done: Vec<(Key, SensorCounts)>,
     limit: Option<WaitLimit>,
     blocking: Option<Key>,
@@ -73,7 +73,7 @@ impl<P> Queues<P> {
         }
     }
 
-    /// Takes one datum. `false` if there is no such queue, or it is finished.
+    /// Adds one datum. Returns `false` if there is no such queue, or it is finished.
     pub fn add(&mut self, key: &Key, time: Time, payload: P) -> bool {
         let Ok(index) = self.queues.binary_search_by(|q| q.key.cmp(key)) else { return false };
         let last_dispatched = self.trajectories.get(&key.0).and_then(|t| t.last_dispatched);
@@ -86,7 +86,8 @@ impl<P> Queues<P> {
         }
         if queue.last_added.is_some_and(|last| time < last) {
             queue.counts.out_of_order += 1;
-            // A stamp far ahead, which those that follow do not confirm, is the one that is wrong.
+            // If the last stamp is far ahead and the next one does not confirm it, the last one is wrong and
+            // is dropped.
             let too_far = |last: Time| leap.is_some_and(|leap| last - time > leap);
             let before = queue.waiting.len().checked_sub(2).and_then(|i| queue.waiting.get(i));
             let fits = before.is_none_or(|(before, _)| *before <= time);
@@ -100,14 +101,14 @@ impl<P> Queues<P> {
         true
     }
 
-    /// No more data will come for these trajectories (all, if none is given).
+    /// Marks the end of the data of a trajectory (of all if none is given).
     pub fn finish(&mut self, trajectory: Option<u32>) {
         for queue in &mut self.queues {
             queue.finished |= trajectory.is_none_or(|id| id == queue.key.0);
         }
     }
 
-    /// Gives out all that can be given out.
+    /// Outputs all data that need not wait any longer.
     pub fn dispatch(&mut self, ready: &mut VecDeque<CollatedItem<P>>, reports: &mut Vec<CollatorReport>) {
         self.blocking = None;
         loop {
@@ -136,7 +137,7 @@ impl<P> Queues<P> {
         self.earliest().map_or(Step::Idle, |index| self.step_for(index))
     }
 
-    /// The next step as if the silent sensors were not there.
+    /// The next step if silent sensors are not waited for.
     fn next_step_without_waiting(&mut self) -> Step {
         match self.earliest().map_or(Step::Idle, |index| self.step_for(index)) {
             Step::Wait(index) => Step::Dispatch(index),
@@ -144,14 +145,14 @@ impl<P> Queues<P> {
         }
     }
 
-    /// The queue with the earliest front; of equals the first.
+    /// The queue with the earliest front; of several with the same time the first.
     fn earliest(&self) -> Option<usize> {
         let fronts = self.queues.iter().enumerate().filter_map(|(i, q)| Some((q.waiting.front()?.0, i)));
         fronts.min().map(|(_, index)| index)
     }
 
-    /// What becomes of the earliest datum: of those before the common start only the last of each
-    /// sensor is given out.
+    /// The action for the earliest datum. Of the data before the common start only the last of each sensor is
+    /// output.
     fn step_for(&mut self, index: usize) -> Step {
         let Some(queue) = self.queues.get(index) else { return Step::Idle };
         let Some((time, _)) = queue.waiting.front() else { return Step::Wait(index) };
@@ -170,7 +171,7 @@ impl<P> Queues<P> {
         }
     }
 
-    /// Removes the front of a queue; gives it out if there is where to.
+    /// Removes the front of a queue and appends it to `ready`, if given.
     fn take_front(&mut self, index: usize, ready: Option<&mut VecDeque<CollatedItem<P>>>) {
         let Some(queue) = self.queues.get_mut(index) else { return };
         let Some((time, payload)) = queue.waiting.pop_front() else { return };
@@ -184,7 +185,7 @@ impl<P> Queues<P> {
         ready.push_back(CollatedItem { trajectory_id, sensor_id, time, payload });
     }
 
-    /// Whether some queue holds more than the limit while another one is silent.
+    /// Whether some queue exceeds the limit while another sensor is silent.
     fn held_too_long(&self) -> bool {
         let Some(limit) = self.limit else { return false };
         self.queues.iter().any(|q| match (q.waiting.front(), q.waiting.back()) {
@@ -225,7 +226,7 @@ impl<P> Queues<P> {
         self.blocking.as_ref()
     }
 
-    /// Counts of all sensors so far, in no particular order.
+    /// Counts of all sensors so far, in arbitrary order.
     pub fn counts(&self) -> impl Iterator<Item = (&Key, SensorCounts)> {
         let running = self.queues.iter().map(|q| (&q.key, q.counts));
         running.chain(self.done.iter().map(|(key, counts)| (key, *counts)))

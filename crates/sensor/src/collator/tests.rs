@@ -8,7 +8,7 @@ fn sensor(name: &str) -> SensorId {
     SensorId::new(SensorKind::Range, name)
 }
 
-/// A collator whose payloads are the times themselves, and all that it gave out.
+/// A collator whose payloads are the times themselves, and everything that it has output.
 struct Bench {
     collator: Collator<i64>,
     out: Vec<(u32, i64)>,
@@ -23,7 +23,7 @@ impl Bench {
         Self { collator, out: Vec::new() }
     }
 
-    /// How Cartographer orders: no limits.
+    /// Cartographer's ordering, without limits.
     fn reference(trajectories: &[(u32, &[&str])]) -> Self {
         Self::new(CollatorOptions { by_trajectory: false, wait_limit: None }, trajectories)
     }
@@ -96,7 +96,7 @@ fn each_trajectory_starts_when_all_its_sensors_have() {
     bench.add(1, "b", 2);
     assert_eq!(bench.add(2, "b", 4), 2);
     assert_eq!(bench.counts(1, "a").before_start, 2);
-    // Trajectory 1 ends here: its last datum and then the other trajectory's come out.
+    // Trajectory 1 ends: its last datum is output, and then those of the other trajectory.
     assert_eq!(bench.finish(1), 4);
     assert_eq!(bench.finish(2), 4);
     assert_eq!(bench.times(), [2, 2, 3, 4]);
@@ -169,15 +169,15 @@ fn a_silent_sensor_delays_but_does_not_block() {
     for tenth in 0..100 {
         bench.add(0, "imu", tenth * SECOND / 10);
     }
-    // 9.9 s of data, of which the last three seconds still wait.
+    // 9.9 s of data, of which the last three seconds are still held back.
     assert_eq!(bench.out.len(), 69);
     let reports = bench.collator.take_reports();
     assert_eq!((reports.len(), &*reports[0].sensor_id.id, reports[0].last_time), (1, "scan", None));
-    // The scanner wakes up, with a scan that is a second old: it takes its place.
+    // The scanner sends again, with a scan that is a second old: it is sorted in.
     bench.add(0, "scan", 89 * SECOND / 10);
     assert_eq!(bench.out.len(), 90 + 1);
     assert!(bench.times().is_sorted());
-    // It falls silent again, which is counted but not reported again.
+    // It is silent again, which is counted but not reported again.
     for tenth in 100..140 {
         bench.add(0, "imu", tenth * SECOND / 10);
     }

@@ -3,7 +3,7 @@ use proptest::prelude::*;
 
 const SAMPLES: usize = 10;
 
-/// Ten points from one tick to another, whose z is their share of the way.
+/// Ten points from one tick to another; z is the fraction of that interval.
 fn message(from: i64, to: i64, with_intensities: bool) -> TimedPointCloudData {
     let share = |k: usize| k as f32 / (SAMPLES - 1) as f32;
     let span = Duration::from_ticks(to - from).seconds() as f32;
@@ -96,7 +96,7 @@ fn three_sensors_of_which_one_repeats() {
     let mut total = 0;
     assert!(collator.add("a", message(200, 300, true)).is_none());
     assert!(collator.add("b", message(200, 300, false)).is_none());
-    // Only the last point of the long message and the ten of each of the others have been measured.
+    // Only the first point of the long message and the ten points of each of the others are in the span.
     let first = collator.add("c", message(250, 1000, true)).unwrap();
     total += first.points.len();
     assert!(collator.add("a", message(310, 320, true)).is_none());
@@ -106,9 +106,9 @@ fn three_sensors_of_which_one_repeats() {
     let third = collator.add("a", message(2000, 3000, true)).unwrap();
     total += third.points.len();
     assert!(is_sorted(&first) && is_sorted(&second) && is_sorted(&third));
-    // All but what is later than the last span.
+    // Everything but the points later than the last span.
     assert_eq!(total, 5 * SAMPLES - 2);
-    // Sensor b has no intensities: zeros stand in.
+    // Sensor b has no intensities: zeros are used instead.
     assert_eq!(first.intensities.len(), first.points.len());
     let zeros = first.points.iter().zip(&first.intensities).filter(|(p, _)| p.origin_index == 1);
     assert!(zeros.map(|(_, i)| *i).all(|i| i == 0.0));

@@ -1,4 +1,4 @@
-//! The voxel filter that looks for the coarsest voxels that leave enough points.
+//! Voxel filter that uses the largest voxels that leave enough points.
 
 use portolan_geometry::Point3f;
 
@@ -27,7 +27,7 @@ pub fn adaptive_voxel_filter_indices(
     min_num_points: usize,
     max_range: f32,
 ) -> Vec<u32> {
-    // A point that is not finite has no range within the limit.
+    // The range of a point that is not finite fails this comparison.
     let near: Vec<u32> =
         points.iter().zip(0_u32..).filter(|(p, _)| range(p) <= max_range).map(|(_, i)| i).collect();
     if near.len() <= min_num_points {
@@ -54,7 +54,7 @@ impl Search {
         self.points.are_in(self.min_num_points, edge)
     }
 
-    /// The edge to filter with: the largest found that leaves enough, or the finest tried.
+    /// The edge to filter with: the largest edge found that leaves enough points, or the finest edge tried.
     fn length(&mut self, max_length: f32) -> f32 {
         if self.leaves_enough(max_length) {
             return max_length;

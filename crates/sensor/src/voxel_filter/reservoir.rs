@@ -1,4 +1,4 @@
-//! One point per voxel by reservoir sampling, on a hash table of its own.
+//! Chooses one point per voxel by reservoir sampling, with its own hash table.
 
 use portolan_geometry::Point3f;
 
@@ -6,10 +6,10 @@ use super::voxel::{BATCH, Numbered, VoxelKey, for_each_batch};
 
 /// Smallest number of slots; a power of two.
 const MIN_SLOTS: usize = 256;
-/// A first call begins with two slots for each point, and no more than this: tables that grow are filled twice.
+/// Maximum size of the first table, which has two slots per point: a table that grows is filled twice.
 const MOST_FIRST_SLOTS: usize = 1 << 17;
 
-/// What is known of one voxel.
+/// State of one voxel.
 #[derive(Clone, Copy)]
 struct Voxel {
     key: VoxelKey,
@@ -17,7 +17,7 @@ struct Voxel {
     kept: u32,
 }
 
-/// Chooses one point per voxel with this edge; gives the numbers of the chosen points in ascending order.
+/// Chooses one point per voxel of this edge and returns the indices of the chosen points in ascending order.
 /// An edge that is not positive keeps all points whose coordinates are finite.
 pub(super) fn sample(points: impl ExactSizeIterator<Item = Point3f>, edge: f32) -> Vec<u32> {
     if edge.is_nan() || edge <= 0.0 {
@@ -33,8 +33,8 @@ pub(super) fn sample(points: impl ExactSizeIterator<Item = Point3f>, edge: f32) 
 }
 
 struct Reservoir {
-    /// Numbers of voxels, from one on; zero is free. Open addressing with linear probing, at most half full;
-    /// the length is a power of two.
+    /// Numbers of voxels, from one on; zero is a free slot. Open addressing with linear probing, at most half
+    /// full; the length is a power of two.
     slots: Vec<u32>,
     voxels: Vec<Voxel>,
     points: usize,
@@ -52,8 +52,8 @@ impl Reservoir {
         }
     }
 
-    /// At most [`BATCH`] points. The slots in which their voxels are expected, and these, are read before the first is changed,
-    /// so that these reads overlap.
+    /// Adds at most [`BATCH`] points. Their expected slots and voxels are read before any is changed, so that
+    /// these reads overlap.
     fn visit_all(&mut self, batch: &[Numbered]) {
         let mut expected = [0; BATCH];
         for (expected, (key, _)) in expected.iter_mut().zip(batch) {
@@ -72,12 +72,12 @@ impl Reservoir {
         }
     }
 
-    /// One more point of a voxel that is known by its number.
+    /// Adds a point to a voxel given by its number.
     #[inline]
     fn count(&mut self, voxel: u32, number: u32) {
         let voxel = &mut self.voxels[voxel as usize - 1];
         voxel.count += 1;
-        // Half of the draws cannot be foreseen: a choice of numbers costs less than one of ways.
+        // Half of the draws are unpredictable: a select costs less than a branch.
         let is_last = self.random.draws_last_of(voxel.count);
         voxel.kept = std::hint::select_unpredictable(is_last, number, voxel.kept);
     }
@@ -114,7 +114,7 @@ impl Reservoir {
     }
 
     fn chosen(&self) -> Vec<u32> {
-        // One bit per point puts them in order.
+        // A bit set of the chosen points gives them in order.
         let mut is_chosen = vec![0_u64; self.points.div_ceil(64)];
         for voxel in &self.voxels {
             is_chosen[voxel.kept as usize / 64] |= 1 << (voxel.kept % 64);
@@ -131,10 +131,10 @@ impl Reservoir {
     }
 }
 
-/// The generator `minstd_rand0` and the way in which libstdc++ draws integers from it.
+/// The generator `minstd_rand0`, and libstdc++'s method to draw integers from it.
 struct MinimalStandard(u64);
 
-/// The range divided by small numbers of points, the first left out.
+/// Range of the generator divided by n, for small n (entry 0 is unused).
 const SHARES: [u32; 64] = {
     let mut shares = [u32::MAX; 64];
     let mut n = 1;
@@ -150,17 +150,17 @@ impl MinimalStandard {
     /// Largest minus smallest value of the generator.
     const RANGE: u32 = 2_147_483_645;
 
-    /// The next value less one, 0 to `RANGE`.
+    /// The next value of the generator minus one, 0 to `RANGE`.
     #[inline]
     fn next(&mut self) -> u32 {
-        // The modulus is 2³¹ − 1: what is above 31 bits counts as ones.
+        // The modulus is 2³¹ − 1, so 2³¹ is congruent to 1: the bits above 31 are added.
         let product = self.0 * 16_807;
         let folded = (product & Self::MODULUS) + (product >> 31);
         self.0 = if folded < Self::MODULUS { folded } else { folded - Self::MODULUS };
         self.0 as u32 - 1
     }
 
-    /// Draws an integer from 1 to `n`; whether it is `n`.
+    /// Draws an integer from 1 to `n` and returns whether it is `n`.
     #[inline]
     fn draws_last_of(&mut self, n: u32) -> bool {
         let share = match SHARES.get(n as usize) {
@@ -168,7 +168,7 @@ impl MinimalStandard {
             None => Self::RANGE / n,
         };
         if share == 0 {
-            // More points in one voxel than the generator has values.
+            // The voxel has more points than the generator has values.
             return false;
         }
         loop {

@@ -1,19 +1,19 @@
-//! In which voxels points are.
+//! Computes the voxels of points.
 
 use portolan_geometry::Point3f;
 
 use crate::{lround, lround_small};
 
-/// So many points are divided into voxels at once.
+/// Number of points whose voxels are computed at once.
 pub(super) const BATCH: usize = 8;
-/// Indices below this are rounded many at once.
+/// Limit of the indices that are rounded several at once.
 const MAX_SMALL_INDEX: f32 = (1 << 22) as f32;
 
-/// A point: the voxel around it, and its number.
+/// The voxel of a point, and the index of the point.
 pub(super) type Numbered = (VoxelKey, u32);
 
-/// Hands on the index of the voxel with this edge (positive, metres) around each point whose coordinates are finite,
-/// and the number of the point, until `visit` gives false.
+/// Calls `visit` with the voxel of this edge (positive, metres) and the index of each point whose coordinates
+/// are finite, until it returns false.
 pub(super) fn for_each_voxel(
     points: impl Iterator<Item = Point3f>,
     edge: f32,
@@ -40,7 +40,7 @@ pub(super) fn for_each_batch(
             batch[filled] = [point.x, point.y, point.z];
             filled += 1;
         }
-        // A count of points beyond u32 would need 48 GiB of them.
+        // More points than u32 counts would take 48 GiB.
         let finite = match small_indices(&batch, edge) {
             Some(indices) => {
                 for (i, index) in indices.iter().enumerate() {
@@ -66,12 +66,12 @@ pub(super) fn for_each_batch(
     }
 }
 
-/// Indices of the voxels around points, if all of these are small numbers.
+/// Voxel indices of points, if all are small numbers.
 #[inline]
 pub(super) fn small_indices<const N: usize>(points: &[[f32; 3]; N], edge: f32) -> Option<[[i32; 3]; N]> {
     let mut indices = [[0; 3]; N];
     let mut are_small = true;
-    // Like this, it is compiled into a few vector instructions.
+    // In this form it is compiled into a few vector instructions.
     for (index, coordinate) in indices.as_flattened_mut().iter_mut().zip(points.as_flattened()) {
         let place = coordinate / edge;
         are_small &= place.abs() < MAX_SMALL_INDEX;
@@ -95,15 +95,15 @@ impl VoxelKey {
         Self(((x as u64) << 42).wrapping_add((y as u64) << 21).wrapping_add(z as u64))
     }
 
-    /// None for a point that is not finite.
+    /// `None` for a point that is not finite.
     #[cold]
     fn of_point(point: &[f32; 3], edge: f32) -> Option<Self> {
         let is_finite = point.iter().all(|coordinate| coordinate.is_finite());
         is_finite.then(|| Self::of_indices(point.map(|coordinate| lround(coordinate / edge))))
     }
 
-    /// Where to look first for a voxel among so many slots (a power of two, two at least): Fibonacci hashing,
-    /// because only the highest bits of the product depend on all three axes.
+    /// First slot of the search for a voxel in a table of this many slots (a power of two, at least two).
+    /// Fibonacci hashing, because only the highest bits of the product depend on all three axes.
     #[inline]
     pub fn slot(self, slots: usize) -> usize {
         (self.0.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - slots.trailing_zeros())) as usize

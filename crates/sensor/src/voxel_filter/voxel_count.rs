@@ -1,4 +1,4 @@
-//! How many voxels points are in, counted no further than is asked.
+//! Counts the voxels that contain points, up to a limit.
 
 use portolan_geometry::Point3f;
 
@@ -6,17 +6,17 @@ use super::voxel::{BATCH, VoxelKey, for_each_voxel, small_indices};
 
 /// Smallest number of slots; a power of two.
 const MIN_SLOTS: usize = 256;
-/// So many voxels may have a bit each.
+/// Maximum number of voxels for a bit set.
 const MAX_BITS: usize = 1 << 18;
 
-/// Points whose voxels of any size are counted.
+/// Points for which voxels of any size are counted.
 pub(super) struct CountedPoints {
-    /// Batches of coordinates, metres; the last one ends in repetitions of its last point.
+    /// Batches of coordinates, metres; the last one is filled up with copies of its last point.
     batches: Vec<[[f32; 3]; BATCH]>,
     count: usize,
-    /// The corners of the box around all points, metres.
+    /// Corners of the bounding box of all points, metres.
     bounds: [[f32; 3]; 2],
-    /// Memory of counts.
+    /// Reused memory of the counts.
     bits: Vec<u64>,
     slots: Vec<Option<VoxelKey>>,
 }
@@ -43,8 +43,8 @@ impl CountedPoints {
         Self { batches, count, bounds, bits: Vec::new(), slots: Vec::new() }
     }
 
-    /// Whether the points are in `wanted` voxels with this edge (metres) at least; without voxels (no positive
-    /// edge) each point counts.
+    /// Whether the points are in at least `wanted` voxels of this edge (metres). If the edge is not positive,
+    /// each point counts.
     pub fn are_in(&mut self, wanted: usize, edge: f32) -> bool {
         if wanted == 0 || edge.is_nan() || edge <= 0.0 {
             return self.count >= wanted;
@@ -62,7 +62,7 @@ impl CountedPoints {
         }
     }
 
-    /// The same with a bit for each voxel from `first` on.
+    /// The same with one bit per voxel from `first` on.
     fn are_in_by_bits(&mut self, wanted: usize, edge: f32, first: [i32; 3], sizes: [usize; 3]) -> bool {
         self.bits.clear();
         self.bits.resize((sizes[0] * sizes[1] * sizes[2]).div_ceil(64), 0);
@@ -86,7 +86,7 @@ impl CountedPoints {
 
     /// The same by open addressing with linear probing, at most half full.
     fn are_in_by_keys(&mut self, wanted: usize, edge: f32) -> bool {
-        // There is no need for more slots than that: counting ends before.
+        // More slots are not needed: counting stops at `wanted`.
         let slots = (2 * wanted.min(self.count)).next_power_of_two().max(MIN_SLOTS);
         self.slots.clear();
         self.slots.resize(slots, None);

@@ -9,7 +9,7 @@ use super::turn::UnitTurn;
 use super::walk::Span;
 use portolan_worlds::two_d::ClearanceGrid;
 
-/// What the robot can do.
+/// Limits of the motion of the robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionLimits {
     /// m/s.
@@ -33,30 +33,31 @@ impl Default for MotionLimits {
 pub struct Waypoint {
     /// Metres in the map.
     pub position: Vector2,
-    /// Seconds to stand there; none passes through.
+    /// Time to stand there, seconds; none to pass through.
     pub stop: Option<f64>,
 }
 
-/// Sharper corners are taken standing, radians.
+/// Maximum angle of a turn in motion, radians; at sharper corners the robot stops.
 const SHARPEST_TURN: f64 = 2.2;
-/// Turns leave their lines at most this far from the corner, metres.
+/// Maximum distance from the corner at which a turn leaves its lines, metres.
 const LONGEST_TANGENT: f64 = 1.1;
-/// Corners that leave less room than this are taken standing, metres.
+/// Minimum of this distance, metres, unless the lines are shorter; where surfaces leave less room the robot
+/// stops.
 const SHORTEST_TANGENT: f64 = 0.12;
-/// Waypoints nearer to each other than this count as one, metres.
+/// Distance between waypoints below which they count as one, metres.
 const SAME_POINT: f64 = 0.05;
 
-/// What happens at a waypoint between two straight lines.
+/// Motion at a waypoint between two straight lines.
 enum Corner {
     Stop { seconds: f64, angle: f64 },
     Turn { shape: UnitTurn, length: f64, tangent: f64, speed: f64 },
 }
 
 impl Walk {
-    /// The walk through `waypoints`, standing `rest` seconds at both ends. Turns are kept where
-    /// `clearance`, if given, says that there are at least `needed` metres. Waypoints that are
-    /// passed are cut a little, those with a stop are reached exactly. None without waypoints, and where
-    /// waypoints are not finite or limits not above zero.
+    /// The walk through `waypoints`, standing `rest` seconds at both ends. With `clearance`, turns keep at
+    /// least its distance (metres) from surfaces in its grid. Waypoints without a stop are cut a little,
+    /// those with a stop are reached exactly. None without waypoints, and if waypoints are not finite or
+    /// limits not above zero.
     pub fn through(
         waypoints: &[Waypoint],
         limits: &MotionLimits,
@@ -82,7 +83,8 @@ impl Walk {
         Some(walk)
     }
 
-    /// Adds everything from the rest at waypoint `first` to the next rest, and tells where that is.
+    /// Adds all spans from the rest at waypoint `first` to the next rest. Gives the index of the waypoint
+    /// there.
     fn add_move(
         &mut self,
         points: &[Waypoint],
@@ -123,8 +125,8 @@ impl Walk {
         last
     }
 
-    /// Straight on for `length` metres: up to a cruising speed, along, down again. The three parts
-    /// cover (v₀ + v₁)/2 · 1.875 |v₁ − v₀|/a each for a change of speed.
+    /// Adds a straight line of `length` metres: up to a cruising speed, at this speed, down again. A change
+    /// of speed from v₀ to v₁ at the acceleration a covers (v₀ + v₁)/2 · 1.875 |v₁ − v₀|/a.
     fn add_straight(&mut self, length: f64, from: f64, to: f64, limits: &MotionLimits) {
         let per_square = 0.5 * STEEPEST / limits.acceleration;
         let reachable = (0.5 * (length / per_square + from * from + to * to)).sqrt();
@@ -142,8 +144,8 @@ impl Walk {
     }
 }
 
-/// Speeds at the ends of the straight pieces: no more than the turns between them allow, and no more
-/// than can be reached and left again.
+/// Speeds at the ends of the straight pieces: at most those that the turns between them allow, and those
+/// that can be reached and reduced again.
 fn plan_speeds(lengths: &[f64], turns: &[&Corner], limits: &MotionLimits) -> Vec<f64> {
     let mut speeds = vec![0.0];
     speeds.extend(turns.iter().map(|corner| match corner {
@@ -162,22 +164,22 @@ fn plan_speeds(lengths: &[f64], turns: &[&Corner], limits: &MotionLimits) -> Vec
     speeds
 }
 
-/// Seconds for turning on the spot within the limits.
+/// Time for a rotation on the spot within the limits, seconds.
 fn pivot_time(angle: f64, limits: &MotionLimits) -> f64 {
     let by_rate = STEEPEST * angle.abs() / limits.turn_rate;
     let by_acceleration = (MOST_CURVED * angle.abs() / limits.turn_acceleration).sqrt();
     by_rate.max(by_acceleration)
 }
 
-/// Seconds that a walk through `before`, `here` and `after` loses at `here` by turning on the spot, if it
-/// must.
+/// Time that a walk through `before`, `here` and `after` needs to rotate on the spot at `here`, seconds; 0
+/// if it does not stop there.
 pub(super) fn turning_time(before: &Vector2, here: &Waypoint, after: &Vector2, limits: &MotionLimits) -> f64 {
     let angle = angle_between(&(here.position - before), &(after - here.position));
     let must_stand = here.stop.is_some() || angle.abs() > SHARPEST_TURN;
     if must_stand { pivot_time(angle, limits) } else { 0.0 }
 }
 
-/// Merges waypoints that are too near for a straight line between them; stops stay.
+/// Merges waypoints that are too near for a straight line between them; stops are kept.
 fn merge_near(waypoints: &[Waypoint]) -> Vec<Waypoint> {
     let mut points: Vec<Waypoint> = Vec::with_capacity(waypoints.len());
     for point in waypoints {
@@ -192,7 +194,7 @@ fn merge_near(waypoints: &[Waypoint]) -> Vec<Waypoint> {
     points
 }
 
-/// What to do at every waypoint but the first; the last is a stop.
+/// Motion at every waypoint but the first; the last is a stop.
 fn plan_corners(
     points: &[Waypoint],
     limits: &MotionLimits,
@@ -218,7 +220,7 @@ fn plan_corners(
     corners
 }
 
-/// The widest turn at a corner that keeps clear of surfaces; none if one must stop.
+/// The widest turn at a corner that keeps clear of surfaces; none if the robot must stop.
 fn plan_turn(
     corner: &Vector2,
     before: &Vector2,
@@ -259,7 +261,7 @@ fn plan_turn(
 fn turn_speed(angle: f64, length: f64, limits: &MotionLimits) -> f64 {
     let by_rate = limits.turn_rate * length / (STEEPEST * angle).max(1e-12);
     let by_acceleration = length * (limits.turn_acceleration / (MOST_CURVED * angle).max(1e-12)).sqrt();
-    // Sideways: v² κ.
+    // Lateral acceleration: v² κ.
     let sideways = (limits.acceleration * length / (STEEPEST * angle).max(1e-12)).sqrt();
     limits.speed.min(by_rate).min(by_acceleration).min(sideways)
 }
@@ -268,7 +270,7 @@ fn angle_of(direction: &Vector2) -> f64 {
     libm::atan2(direction.y, direction.x)
 }
 
-/// From one direction to another, in (−π, π].
+/// Angle from one direction to another, in (−π, π].
 fn angle_between(from: &Vector2, to: &Vector2) -> f64 {
     libm::atan2(from.x * to.y - from.y * to.x, from.dot(to))
 }

@@ -1,4 +1,4 @@
-//! How somebody or something moves along an itinerary: corners are cut, bodies sway and bob.
+//! Motion of a walker or a vehicle along an itinerary: corners are cut, and the body sways and bobs.
 
 use portolan_geometry::Vector3;
 
@@ -8,25 +8,25 @@ use super::spline::{Control, KNOT_SPACING, SplineMotion};
 use portolan_worlds::Random;
 use portolan_worlds::three_d::Scene3d;
 
-/// Metres of way for one step of a walker.
+/// Length of a step of a walker, metres.
 const STEP: f64 = 0.72;
-/// Below this speed a direction is not changed, m/s.
+/// Speed below which a direction is not updated, m/s.
 const SLOW: f64 = 0.08;
-/// At this speed the gait is in full swing, m/s.
+/// Speed at which the gait reaches its full amplitude, m/s.
 const FULL_GAIT: f64 = 0.9;
 
-/// What carries the sensors.
+/// Platform that carries the sensors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Carrier {
-    /// Somebody who walks, with the sensors on the back: bobs and sways with every step.
+    /// A walker with the sensors on the back, who bobs and sways with every step.
     #[default]
     Walker,
-    /// A vehicle on wheels: level or as steep as the ground.
+    /// A vehicle on wheels: level, or pitched like the ground.
     Wheels,
 }
 
 impl Carrier {
-    /// The platform that carries the sensors where nothing else is asked for.
+    /// The default platform in a scene.
     pub fn usual_in(scene: Scene3d) -> Self {
         match scene {
             Scene3d::Museum => Self::Walker,
@@ -43,7 +43,7 @@ impl Carrier {
     }
 }
 
-/// A slow or quick swaying: a sum of sines with random frequencies.
+/// A swaying motion: a sum of sines with random frequencies.
 struct Sway(Vec<[f64; 3]>);
 
 impl Sway {
@@ -101,13 +101,14 @@ pub(crate) fn motion_along(
     SplineMotion::new(controls.collect::<Vec<Control>>(), itinerary.duration())
 }
 
-/// Slope of the ground along the path; level where one stands.
+/// Slope of the ground along the path; 0 at rest.
 fn slope([dx, dy, dz]: [f64; 3]) -> f64 {
     let run = (dx * dx + dy * dy).sqrt();
     if run > SLOW * KNOT_SPACING { dz / run } else { 0.0 }
 }
 
-/// The direction of the path at each sample, with whole turns; turning on the spot where one turns round.
+/// Heading of the path at each sample, radians, unwrapped; where the walk turns around, it rotates on the
+/// spot.
 fn directions(x: &[f64], y: &[f64], itinerary: &Itinerary) -> Vec<f64> {
     let count = x.len();
     let mut known: Vec<Option<f64>> = vec![None; count];
@@ -135,7 +136,7 @@ fn directions(x: &[f64], y: &[f64], itinerary: &Itinerary) -> Vec<f64> {
         let (a, b) = ((start / KNOT_SPACING) as usize, (end / KNOT_SPACING) as usize);
         let from = yaws.get(a.saturating_sub(4)).copied().unwrap_or(first);
         let after = known.iter().skip(b).flatten().next().copied().unwrap_or(from);
-        // The slow start and end of the strokes around belong to the turn.
+        // The slow end and start of the strokes before and after belong to the turn.
         for k in a..count {
             let share = ((k as f64 * KNOT_SPACING - start) / (end - start)).clamp(0.0, 1.0);
             if k > b && known[k].is_some() {
@@ -151,7 +152,7 @@ fn wrapped(angle: f64) -> f64 {
     portolan_geometry::normalize_angle(angle)
 }
 
-/// Smooths samples with a Gaussian; the ends go on as they are.
+/// Smooths samples with a Gaussian; beyond the ends the first and the last sample are repeated.
 fn smoothed(samples: &[f64], deviation: f64) -> Vec<f64> {
     let reach = (4.0 * deviation / KNOT_SPACING).ceil() as usize;
     let weight = |i: usize| {
@@ -167,7 +168,7 @@ fn smoothed(samples: &[f64], deviation: f64) -> Vec<f64> {
     (0..samples.len()).map(|k| sum(k) / total).collect()
 }
 
-/// How a body moves about the path.
+/// Motion of the body relative to the path.
 struct Shape {
     carrier: Carrier,
     gait: f64,
@@ -183,10 +184,10 @@ impl Shape {
         amplitudes.map(|amplitude| Sway::new(random, amplitude * self.gait, frequencies))
     }
 
-    /// Forward, left, up, roll, pitch, yaw.
+    /// Offset of the body from the path: forward, left, up (metres), roll, pitch, yaw (radians).
     fn body(&self, walked: f64, time: f64, swing: f64, slope: f64, sways: &mut [Sway; 6]) -> Control {
         let share = match self.carrier {
-            // Somebody who stands still sways a little.
+            // A standing walker sways a little.
             Carrier::Walker => 0.12 + 0.88 * swing,
             Carrier::Wheels => swing,
         };

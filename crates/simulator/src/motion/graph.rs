@@ -1,4 +1,4 @@
-//! In which order a tour visits the places of a plan.
+//! Order in which a tour visits the places of a plan.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, BinaryHeap};
@@ -12,13 +12,13 @@ const UNREACHED: u64 = u64::MAX;
 #[derive(Clone, Debug)]
 pub(crate) struct PassageGraph {
     passages: Vec<Passage>,
-    /// Tenths of a millimetre, per passage.
+    /// Length of each passage, tenths of a millimetre.
     lengths: Vec<u64>,
-    /// Passage and place at its other end, per place.
+    /// Passages of each place, with the place at the other end.
     neighbours: Vec<Vec<(usize, usize)>>,
 }
 
-/// Shortest ways along passages from one place.
+/// Shortest paths along passages from one place.
 struct Ways {
     from: usize,
     distances: Vec<u64>,
@@ -39,7 +39,8 @@ impl PassageGraph {
     }
 
     /// Places in the order of a visit from `home`: the shortest lap first, so that a first loop closes
-    /// early, then the nearest passage not yet seen, with its rooms, until all are seen; home in the end.
+    /// early, then always the nearest passage not yet visited, with its rooms, until all are visited;
+    /// finally home.
     pub fn itinerary(&self, home: usize, random: &mut Random) -> Vec<usize> {
         let mut places = self.shortest_lap(home, random);
         let mut unseen: BTreeSet<usize> = (0..self.passages.len()).collect();
@@ -94,7 +95,7 @@ impl PassageGraph {
         lap
     }
 
-    /// Dijkstra, not using one passage.
+    /// Shortest paths by Dijkstra's algorithm, without one passage.
     fn ways_from(&self, from: usize, without: Option<usize>) -> Ways {
         let count = self.neighbours.len();
         let mut ways = Ways { from, distances: vec![UNREACHED; count], previous: vec![from; count] };

@@ -1,24 +1,24 @@
-//! Which loops are walked within the time there is, and where one is along them when.
+//! Selects the loops that are walked within the available time, and computes the position along them.
 
 use portolan_geometry::Vector3;
 
 use super::smooth;
 use portolan_worlds::Random;
 
-/// Seconds to reach walking speed, and to stop.
+/// Time to reach walking speed, and to stop, seconds.
 const START_TIME: f64 = 1.6;
-/// Seconds for turning round on the spot.
+/// Time to turn around on the spot, seconds.
 const TURN_TIME: f64 = 3.5;
-/// One walks up to so much faster to fit one more loop in.
+/// Maximum factor by which the speed is raised to fit one more loop in.
 const HURRY: f64 = 1.12;
-/// Shorter ways out and back are not worth starting, metres.
+/// Minimum length of a path out and back, one way, metres.
 const SHORTEST_OUTING: f64 = 3.0;
 
-/// A way that is walked without a stop.
+/// A path that is walked without a stop.
 #[derive(Clone, Debug)]
 struct Stroke {
     points: Vec<Vector3>,
-    /// Metres along at each point.
+    /// Distance along the path at each point, metres.
     lengths: Vec<f64>,
     start_time: f64,
     duration: f64,
@@ -33,27 +33,27 @@ pub(crate) struct Itinerary {
     duration: f64,
 }
 
-/// What one asks for.
+/// Inputs of an itinerary.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ItineraryRequest<'a> {
     /// Closed paths from the same place.
     pub loops: &'a [Vec<Vector3>],
     /// m/s.
     pub speed: f64,
-    /// Seconds to stand at the start and at the end.
+    /// Time to stand at the start and at the end, seconds.
     pub rest: f64,
-    /// Seconds in all; none for every loop once.
+    /// Total time, seconds; none to walk every loop once.
     pub duration: Option<f64>,
     /// Whether to stand all the time.
     pub standing: bool,
 }
 
-/// Where one is along the path.
+/// Position along the path.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Place {
     /// On the ground, metres.
     pub position: Vector3,
-    /// Metres walked.
+    /// Distance walked, metres.
     pub walked: f64,
 }
 
@@ -103,7 +103,7 @@ impl Itinerary {
             if self.strokes.is_empty() {
                 self.push(outing);
             } else {
-                // Goes on without a stop.
+                // The walk goes on without a stop.
                 let last = self.strokes.pop().map(|last| joined(&[last, outing]));
                 self.duration = last.as_ref().map_or(self.duration, |last| last.start_time);
                 last.into_iter().for_each(|last| self.push(last));
@@ -124,12 +124,12 @@ impl Itinerary {
         self.strokes.push(stroke);
     }
 
-    /// Seconds.
+    /// Total time, seconds.
     pub fn duration(&self) -> f64 {
         self.duration
     }
 
-    /// Where one is at a time.
+    /// Position at a time, seconds.
     pub fn place(&self, time: f64) -> Place {
         let mut walked = 0.0;
         let mut position = self.home;
@@ -144,14 +144,14 @@ impl Itinerary {
         Place { position, walked }
     }
 
-    /// When and for how long one turns round.
+    /// Start and end times of the turns between strokes, seconds.
     pub fn turns(&self) -> Vec<(f64, f64)> {
         let ends = self.strokes.windows(2);
         ends.map(|pair| (pair[0].start_time + pair[0].duration, pair[1].start_time)).collect()
     }
 }
 
-/// One way out of several that end where the next begins.
+/// One stroke made of several, each of which ends where the next one begins.
 fn joined(strokes: &[Stroke]) -> Stroke {
     let mut points: Vec<Vector3> = strokes.iter().flat_map(|s| s.points.iter().copied()).collect();
     points.dedup_by(|a, b| (*a - *b).norm() < 1e-6);
@@ -192,7 +192,8 @@ impl Stroke {
         Self::new(points)
     }
 
-    /// Metres along after so many seconds: the speed rises smoothly at the start and falls at the end.
+    /// Distance along the stroke at this time after its start, metres: the speed rises smoothly at the
+    /// start and falls at the end.
     fn along(&self, elapsed: f64) -> f64 {
         let elapsed = elapsed.clamp(0.0, self.duration);
         let ramp = START_TIME.min(0.5 * self.duration);

@@ -1,4 +1,4 @@
-//! How the robot moves: a smooth walk whose pose, velocity and acceleration are known exactly.
+//! Motion of the robot: a smooth walk whose pose, velocity and acceleration are known exactly.
 
 mod builder;
 mod gait;
@@ -21,7 +21,7 @@ pub(crate) use spline::rotation;
 pub(crate) use tour::{TourRequest, plan_people, plan_tour};
 pub use walk::{MotionState2d, Walk};
 
-/// Everything an inertial sensor could feel.
+/// Pose, velocities and accelerations: all that an inertial sensor could measure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionState {
     /// Pose of `base_link` in the map.
@@ -38,15 +38,15 @@ pub struct MotionState {
 
 /// A motion with exact derivatives, from time 0 to its duration; at rest outside.
 pub trait Motion: Send + Sync {
-    /// Seconds.
+    /// Duration, seconds.
     fn duration(&self) -> f64;
 
     /// Pose and derivatives at `time` seconds.
     fn state(&self, time: f64) -> MotionState;
 }
 
-/// What wheels feel of a motion.
+/// Motion as wheels measure it.
 pub(crate) trait Rolling: Send + Sync {
-    /// Metres travelled and heading in radians (with whole turns) at `time` seconds.
+    /// Distance travelled, metres, and heading, radians (unwrapped), at `time` seconds.
     fn rolled(&self, time: f64) -> (f64, f64);
 }

@@ -6,16 +6,16 @@ use portolan_geometry::{Quaternion, Rigid3, Vector3};
 
 use super::{Motion, MotionState, Rolling};
 
-/// Seconds between control points.
+/// Time between control points, seconds.
 pub(crate) const KNOT_SPACING: f64 = 0.05;
-/// x, y, z in metres and roll, pitch, yaw in radians (yaw with whole turns).
+/// Control point: x, y, z in metres and roll, pitch, yaw in radians (yaw unwrapped).
 pub(crate) type Control = [f64; 6];
 
-/// A motion through control points, at rest before and after.
+/// A motion along control points, at rest before and after.
 #[derive(Clone, Debug)]
 pub struct SplineMotion {
     controls: Vec<Control>,
-    /// Metres travelled at each knot.
+    /// Distance travelled up to each knot, metres.
     travelled: Vec<f64>,
     duration: f64,
 }
@@ -63,7 +63,7 @@ impl Basis {
 
 impl SplineMotion {
     /// A motion near the control points, which are `KNOT_SPACING` apart from time 0 on; none without
-    /// any.
+    /// control points.
     pub(crate) fn new(controls: Vec<Control>, duration: f64) -> Option<Self> {
         controls.first()?;
         let mut motion = Self { travelled: vec![0.0], controls, duration };
@@ -76,13 +76,13 @@ impl SplineMotion {
         Some(motion)
     }
 
-    /// A motion that stands at a place with a yaw.
+    /// A platform at rest at a position with a yaw.
     pub fn standing(position: Vector3, yaw: f64, duration: f64) -> Self {
         let control = [position.x, position.y, position.z, 0.0, 0.0, yaw];
         Self { controls: vec![control], travelled: vec![0.0], duration }
     }
 
-    /// All six channels and their derivatives by time at a time.
+    /// All six channels and their first two time derivatives at a time.
     fn channels(&self, time: f64) -> [Control; 3] {
         let at = time.clamp(0.0, self.duration.max(0.0)) / KNOT_SPACING;
         let knot = at.floor();
@@ -105,7 +105,7 @@ impl SplineMotion {
         sums
     }
 
-    /// Metres travelled from a time on, by Simpson's rule.
+    /// Distance travelled during `span` seconds from `time` on, metres, by Simpson's rule.
     fn distance(&self, time: f64, span: f64) -> f64 {
         let speed = |share: f64| {
             let [_, rates, _] = self.channels(time + share * span);

@@ -1,4 +1,4 @@
-//! Where the walk goes: first a lap, then through every passage and into every open room, and home.
+//! Plans the tour of a walk: first a lap, then through every passage and into every open room, and home.
 
 use portolan_geometry::Vector2;
 
@@ -8,27 +8,27 @@ use super::{Motion, Walk};
 use portolan_worlds::Random;
 use portolan_worlds::two_d::{ClearanceGrid, FloorPlan, Person, WayCosts, WaySearch};
 
-/// Rooms are entered up to the roomiest spot this near to their middle, metres.
+/// Radius around the middle of a room in which its roomiest spot is visited, metres.
 const SPOT_RADIUS: f64 = 1.3;
-/// Junctions are passed this far from their middle at most, metres.
+/// Maximum random offset from the middle of a junction along each axis, metres.
 const JITTER: f64 = 0.3;
 
-/// What a tour is planned from.
+/// Inputs of a tour.
 pub(crate) struct TourRequest<'a> {
     pub plan: &'a FloorPlan,
     pub grid: &'a ClearanceGrid,
     pub limits: MotionLimits,
-    /// Distance to surfaces to be kept in turns, metres.
+    /// Distance from surfaces that turns keep, metres.
     pub needed_clearance: f64,
-    /// Seconds to stand at the start and at the end.
+    /// Time to stand at the start and at the end, seconds.
     pub rest: f64,
-    /// Seconds the whole walk may take; none for one full tour.
+    /// Maximum time of the whole walk, seconds; none for one full tour.
     pub duration: Option<f64>,
 }
 
-/// The walk of a tour that returns to its start. With a duration, the tour goes home early or starts
-/// over, and the walk stands at the end until the time is up; where not even the first leg and the way
-/// back fit in, the walk takes longer. None if there is nowhere to go.
+/// The walk of a tour that returns to its start. With a duration, the tour goes home early or starts over,
+/// and the walk stands at the end until the time is over. If the time is too short for the first leg and
+/// the path back, the walk takes longer. None if there is no place to go.
 pub(crate) fn plan_tour(request: &TourRequest<'_>, random: &mut Random) -> Option<Walk> {
     let mut tour = Tour::begin(request, random)?;
     while tour.walk_once(random) {}
@@ -77,14 +77,15 @@ struct Tour<'a> {
     ways: WaySearch<'a>,
     graph: PassageGraph,
     waypoints: Vec<Waypoint>,
-    /// How many waypoints there are after each leg.
+    /// Number of waypoints after each leg.
     leg_ends: Vec<usize>,
     /// Estimated time for the waypoints so far, seconds.
     elapsed: f64,
 }
 
 impl<'a> Tour<'a> {
-    /// Begins at the junction, in random order, from which most others can be reached.
+    /// Begins at the junction from which most others can be reached. Junctions are tried in random order,
+    /// until one reaches more than half of them.
     fn begin(request: &'a TourRequest<'a>, random: &mut Random) -> Option<Self> {
         let plan = request.plan;
         let mut junctions: Vec<usize> = (0..plan.places.len()).filter(|i| !plan.places[*i].is_room).collect();
@@ -119,7 +120,7 @@ impl<'a> Tour<'a> {
         })
     }
 
-    /// One tour; whether there is time for another.
+    /// Adds one tour. True if there is time for another.
     fn walk_once(&mut self, random: &mut Random) -> bool {
         let legs_before = self.leg_ends.len();
         for place in self.graph.itinerary(self.home, random) {
@@ -133,7 +134,7 @@ impl<'a> Tour<'a> {
         self.request.duration.is_some() && self.leg_ends.len() > legs_before
     }
 
-    /// Adds a leg; false if time is up.
+    /// Adds a leg; false if the time is over.
     fn go_to(&mut self, target: Waypoint) -> bool {
         let Some(leg) = self.leg_to(target) else { return true };
         let seconds = self.seconds_for(&leg);
@@ -149,7 +150,7 @@ impl<'a> Tour<'a> {
         true
     }
 
-    /// A leg walked on its own, from rest to rest, and turning towards it.
+    /// Time of a leg walked on its own, from rest to rest, and of turning towards it, seconds.
     fn seconds_for(&self, leg: &[Waypoint]) -> f64 {
         let limits = &self.request.limits;
         let alone = Walk::through(leg, limits, 0.0, self.clearance()).map_or(0.0, |walk| walk.duration());
@@ -166,7 +167,7 @@ impl<'a> Tour<'a> {
         Some((self.request.grid, self.request.needed_clearance))
     }
 
-    /// Waypoints from where the tour is to `target`, both included.
+    /// Waypoints from the end of the tour so far to `target`, both included.
     fn leg_to(&mut self, target: Waypoint) -> Option<Vec<Waypoint>> {
         let here = self.waypoints.last()?.position;
         let way = self.ways.way(&here, &target.position)?;
@@ -176,7 +177,7 @@ impl<'a> Tour<'a> {
         Some(leg)
     }
 
-    /// A generous estimate of the time to the start.
+    /// A generous estimate of the time back to the start, seconds.
     fn seconds_home(&self, from: &Vector2) -> f64 {
         let metres = self.costs.metres_to(self.request.grid, from).unwrap_or(0.0);
         1.15 * metres / self.request.limits.speed + 4.0
@@ -191,14 +192,15 @@ impl<'a> Tour<'a> {
         Walk::through(&waypoints, &self.request.limits, self.request.rest, self.clearance())
     }
 
-    /// Forgets the last leg, unless it is the only one.
+    /// Removes the last leg, unless it is the only one.
     fn drop_last_leg(&mut self) -> bool {
         let (Some(_), Some(end)) = (self.leg_ends.pop(), self.leg_ends.last()) else { return false };
         self.waypoints.truncate(*end);
         true
     }
 
-    /// Where to go at a place: rooms near their roomiest spot, junctions a little off the middle.
+    /// Position to visit at a place: the roomiest spot near the middle of a room, a random one near the
+    /// middle of a junction.
     fn spot_at(&self, place: usize, random: &mut Random) -> Option<Vector2> {
         let place = &self.request.plan.places[place];
         let grid = self.request.grid;

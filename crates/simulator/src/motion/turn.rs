@@ -5,7 +5,7 @@ use portolan_geometry::Vector2;
 
 use super::smooth;
 
-/// Pieces over which positions are tabulated.
+/// Number of pieces over which positions are tabulated.
 const KNOTS: usize = 32;
 /// Gauss-Legendre nodes and weights of order 3 on [−1, 1]; over 1/32 of a turn the error is below
 /// 1e-13 of its length.

@@ -12,7 +12,7 @@ use super::{Motion, MotionState, Rolling};
 pub struct MotionState2d {
     /// Metres in the map.
     pub position: Vector2,
-    /// Radians; whole turns are kept.
+    /// Radians, unwrapped.
     pub heading: f64,
     /// (cos, sin) of the heading.
     pub direction: Vector2,
@@ -28,14 +28,14 @@ pub struct MotionState2d {
     pub travelled: f64,
 }
 
-/// What happens during one span.
+/// Motion during one span.
 #[derive(Clone, Debug)]
 pub(crate) enum Span {
     /// Standing still.
     Rest,
-    /// Turning on the spot by an angle.
+    /// Rotation on the spot by an angle, radians.
     Pivot(f64),
-    /// Straight on, while the speed goes smoothly from the first to the second value.
+    /// Straight line, while the speed changes smoothly from the first to the second value, m/s.
     Straight(f64, f64),
     /// A turn of the given length with constant speed.
     Turn { shape: UnitTurn, length: f64, speed: f64 },
@@ -45,13 +45,13 @@ pub(crate) enum Span {
 struct TimedSpan {
     start_time: f64,
     duration: f64,
-    /// At rest values of speed and rates are not used.
+    /// State at the start; its speed, acceleration and rates are not used.
     start: MotionState2d,
     span: Span,
 }
 
-/// The motion of a wheeled robot: never sideways, with continuous velocity and acceleration, at rest
-/// at both ends.
+/// The motion of a wheeled robot: without lateral velocity, with continuous velocity and acceleration, at
+/// rest at both ends.
 #[derive(Clone, Debug)]
 pub struct Walk {
     spans: Vec<TimedSpan>,

@@ -1,25 +1,26 @@
-//! Where the beams of a lidar point, and when they are fired.
+//! Directions of the beams of a lidar, and the times at which they are fired.
 
 use std::str::FromStr;
 
 use crate::SimulatorError;
 
-/// How a lidar turns its beams.
+/// Scan pattern of a lidar.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ScanPattern {
-    /// One revolution about z in a sweep: every sweep is like the one before.
+    /// One revolution about z per sweep: every sweep has the same pattern.
     Spinning,
-    /// Two wedge prisms that turn at different rates (Hz) deflect the beams from x, each by so many radians: a rosette
-    /// within a cone, in every sweep another one (as in lidars of Livox that look ahead).
+    /// Two wedge prisms that rotate at different rates (Hz) deflect the beams from x, each by `deflection`
+    /// radians: a rosette within a cone, with another pattern in every sweep (as in forward-looking lidars
+    /// of Livox).
     Rosette { deflection: f64, rates: [f64; 2] },
-    /// Beams go up and down between two elevations (radians) so many times a second while the head revolves at
-    /// another rate, Hz: in every sweep another pattern (as in Livox' Mid-360).
+    /// Beams go up and down between two elevations (radians) `waves` times per second while the head
+    /// revolves at another rate, Hz: another pattern in every sweep (as in the Mid-360 of Livox).
     Wave { elevations: [f64; 2], waves: f64, revolutions: f64 },
 }
 
 impl ScanPattern {
-    /// Azimuth (positive counter-clockwise for a head that spins so) and elevation of the beams' axis, radians: `share`
-    /// of a sweep after its begin, and so many seconds after the first sweep's.
+    /// Azimuth (positive in the direction in which the head spins) and elevation of the axis of the beams,
+    /// radians, at the fraction `share` of a sweep, `seconds` after the start of the first sweep.
     pub(crate) fn axis(self, share: f64, seconds: f64) -> [f64; 2] {
         let tau = std::f64::consts::TAU;
         match self {
@@ -37,22 +38,22 @@ impl ScanPattern {
     }
 }
 
-/// The beams of one firing of a lidar, and how it turns them.
+/// The beams of one firing of a lidar, and its scan pattern.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BeamTable {
     /// Name of the model, for messages.
     pub name: String,
-    /// How the beams are turned.
+    /// Scan pattern.
     pub pattern: ScanPattern,
     /// Angle above the plane of rotation of each beam, radians.
     pub elevations: Vec<f64>,
     /// Angle ahead of the head's azimuth of each beam, radians; one per beam.
     pub azimuth_offsets: Vec<f64>,
-    /// Seconds from the start of a firing to each beam; one per beam.
+    /// Delay of each beam from the start of its firing, seconds; one per beam.
     pub delays: Vec<f64>,
-    /// Firings per revolution, or per sweep of a lidar that does not revolve once in it.
+    /// Number of firings per revolution, or per sweep of a lidar that does not revolve once in it.
     pub columns: usize,
-    /// Metres.
+    /// Maximum range, metres.
     pub range_max: f64,
 }
 
@@ -71,8 +72,8 @@ impl BeamTable {
         Self { name, pattern, elevations, azimuth_offsets: zeros.clone(), delays: zeros, columns, range_max }
     }
 
-    /// 16 beams of ±15°, fired 2.304 µs apart (Velodyne, VLP-16 user manual); 1875 firings a revolution are
-    /// 300,000 points a second at 10 turns.
+    /// 16 beams of ±15°, fired 2.304 µs apart (Velodyne, VLP-16 user manual); 1875 firings per revolution
+    /// are 300,000 points per second at 10 revolutions.
     pub fn vlp16() -> Self {
         Self { delays: delays(16, 2.304e-6), ..Self::even("vlp16", -15.0, 15.0, 16, 1875, 100.0) }
     }
@@ -94,14 +95,15 @@ impl BeamTable {
             "os1-64" => ouster(name, 22.5, 64, 120.0),
             "os0-128" => ouster(name, 45.0, 128, 50.0),
             "xt32" => Self { delays: delays(32, 1.5e-6), ..Self::even(name, -16.0, 15.0, 32, 2000, 120.0) },
-            // 240,000 points a second within 77°, from prisms as those of the Mid-40, 7294 and -4664 turns a minute.
+            // 240,000 points per second within 77°, from prisms like those of the Mid-40, 7294 and -4664
+            // rotations per minute.
             "avia" => {
                 let deflection = 19.3_f64.to_radians();
                 let pattern = ScanPattern::Rosette { deflection, rates: [7294.0 / 60.0, -4664.0 / 60.0] };
                 Self { pattern, ..Self::even(name, -0.8, 0.8, 6, 4000, 190.0) }
             }
-            // 200,000 points a second from -7° to 52° all around. Only the field of view and the number of points are
-            // the device's; the rates are such that sweeps do not repeat.
+            // 200,000 points per second from -7° to 52° all around. Only the field of view and the number
+            // of points are those of the device; the rates are chosen so that sweeps do not repeat.
             "mid360" => {
                 let elevations = [-6.5_f64, 51.5].map(f64::to_radians);
                 let pattern = ScanPattern::Wave { elevations, waves: 187.3, revolutions: 10.7 };
@@ -111,7 +113,7 @@ impl BeamTable {
         })
     }
 
-    /// Whether the numbers of its lists agree and are sensible.
+    /// Whether its lists have the same length, and its values are sensible.
     pub(crate) fn is_sensible(&self) -> bool {
         let beams = self.elevations.len();
         let is_list = |list: &[f64], bound: f64| {
@@ -126,7 +128,7 @@ impl BeamTable {
     }
 }
 
-/// All beams of a firing one after the other.
+/// Delays of beams that are fired one after the other, seconds.
 fn delays(beams: usize, step: f64) -> Vec<f64> {
     (0..beams).map(|i| step * i as f64).collect()
 }

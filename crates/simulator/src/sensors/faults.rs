@@ -8,7 +8,7 @@ use portolan_recording::{Header, Imu, Message, Odometry, PointCloud2, RecordedMe
 
 use crate::SimulatorError;
 
-/// Which sensor has the fault.
+/// Sensor that has a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum FaultTarget {
     /// All lidars.
@@ -25,23 +25,23 @@ pub enum FaultTarget {
 pub enum Fault {
     /// `duplicate:SENSOR:N`: every N-th message has the stamp of the one before.
     DuplicateStamp {
-        /// Of which sensor.
+        /// The sensor.
         target: FaultTarget,
         /// N, at least 2.
         every: u64,
     },
-    /// `backward:SENSOR:N:SECONDS`: every N-th message is stamped that much too early.
+    /// `backward:SENSOR:N:SECONDS`: the stamp of every N-th message is too early by this time.
     BackwardStamp {
-        /// Of which sensor.
+        /// The sensor.
         target: FaultTarget,
         /// N, at least 2.
         every: u64,
-        /// More than 0.
+        /// Seconds, more than 0.
         seconds: f64,
     },
-    /// `gap:SENSOR:FROM:TO`: no messages in that time.
+    /// `gap:SENSOR:FROM:TO`: no messages during this time.
     Gap {
-        /// Of which sensor.
+        /// The sensor.
         target: FaultTarget,
         /// Seconds since the start.
         from: f64,
@@ -58,8 +58,8 @@ pub enum Fault {
         /// N, at least 1.
         every: u64,
     },
-    /// `jump:SECONDS:X:Y:YAW`: from that time on odometry continues from a pose that is off by this
-    /// much, in metres and radians in the frame of the robot.
+    /// `jump:SECONDS:X:Y:YAW`: from this time on odometry continues from a pose that is off by this much,
+    /// in metres and radians in the frame of the robot.
     OdometryJump {
         /// Seconds since the start.
         at: f64,
@@ -70,32 +70,32 @@ pub enum Fault {
         /// Radians to the left.
         yaw: f64,
     },
-    /// `no-gravity`: the IMU has taken gravity out of its accelerations.
+    /// `no-gravity`: the IMU removes gravity from its accelerations.
     ImuWithoutGravity,
-    /// `clock:SENSOR:SECONDS`: the stamps are late by this much (negative: early).
+    /// `clock:SENSOR:SECONDS`: the stamps are late by this time (negative: early).
     ClockOffset {
-        /// Of which sensor.
+        /// The sensor.
         target: FaultTarget,
-        /// Added to stamps.
+        /// Added to stamps, seconds.
         seconds: f64,
     },
-    /// `dies:SECONDS`: from that time on the last lidar is silent.
+    /// `dies:SECONDS`: from this time on the last lidar sends no messages.
     Death {
         /// Seconds since the start.
         at: f64,
     },
-    /// `saturate:GYROSCOPE:ACCELEROMETER`: the IMU shows no larger values.
+    /// `saturate:GYROSCOPE:ACCELEROMETER`: the values of the IMU are clamped to these.
     Saturation {
         /// rad/s.
         angular_velocity: f64,
         /// m/s².
         acceleration: f64,
     },
-    /// `swap-axes`: the IMU is turned by a quarter about its x axis, which no message says.
+    /// `swap-axes`: the IMU is rotated by 90° about its x axis, which no message reports.
     SwappedAxes,
     /// `no-tf:SENSOR`: the transform of its frame is not in the recording (`scan` and `imu`).
     MissingTransform {
-        /// Of which sensor.
+        /// The sensor.
         target: FaultTarget,
     },
 }
@@ -175,7 +175,7 @@ fn parse(parts: &[&str]) -> Option<Fault> {
 }
 
 impl Fault {
-    /// Whether its numbers can be used.
+    /// Whether its numbers are valid.
     pub(crate) fn is_sensible(&self) -> bool {
         match *self {
             Self::DuplicateStamp { every, .. } => every >= 2,
@@ -208,7 +208,7 @@ impl Fault {
     }
 }
 
-/// Refuses faults whose numbers cannot be used, and those of sensors that are not recorded.
+/// Rejects faults whose numbers are not valid, and those of sensors that are not recorded.
 pub(crate) fn check_faults(faults: &[Fault], recorded: &[FaultTarget]) -> Result<(), SimulatorError> {
     for fault in faults {
         let text = fault.to_string();
@@ -228,21 +228,23 @@ pub(crate) fn check_faults(faults: &[Fault], recorded: &[FaultTarget]) -> Result
     Ok(())
 }
 
-/// Puts faults into the messages of one topic, which must come in order.
+/// Puts faults into the messages of one topic, which must be given in order.
 #[derive(Clone, Debug)]
 pub(crate) struct FaultFilter {
     faults: Vec<Fault>,
     target: FaultTarget,
     count: u64,
     last_stamp: Option<Time>,
-    /// Left factor of odometry after jumps, and which jumps have happened.
+    /// Transform by which odometry is multiplied from the left after jumps.
     jump: Rigid2,
+    /// Number of jumps that have happened.
     jumps_done: usize,
     gravity: f64,
 }
 
 impl FaultFilter {
-    /// The faults that concern one sensor; `gravity` is what its IMU measures at rest.
+    /// The faults that concern one sensor; `gravity` is the specific force that its IMU measures at rest,
+    /// m/s².
     pub fn new(faults: &[Fault], target: FaultTarget, gravity: f64) -> Self {
         let faults: Vec<Fault> = faults.iter().filter(|fault| fault.target() == target).copied().collect();
         let jump = Rigid2::identity();
@@ -337,7 +339,7 @@ impl FaultFilter {
                 _ => {}
             }
         }
-        // The sensor itself cannot show more.
+        // Last, since the sensor itself cannot measure larger values.
         for fault in &self.faults {
             if let Fault::Saturation { angular_velocity, acceleration } = *fault {
                 imu.angular_velocity =
@@ -374,7 +376,7 @@ impl FaultFilter {
     }
 }
 
-/// Writes NaN into x, y and z, the first three fields of our clouds.
+/// Writes NaN into x, y and z, the first three fields of simulated clouds.
 fn spoil_points(cloud: &mut PointCloud2) {
     for point in cloud.data.chunks_exact_mut((cloud.point_step as usize).max(12)) {
         for value in point.chunks_exact_mut(4).take(3) {

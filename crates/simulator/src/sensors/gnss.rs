@@ -1,4 +1,4 @@
-//! Satellite fixes: where the antenna is, if it sees enough of the sky.
+//! Satellite fixes: the position of the antenna, if it sees enough of the sky.
 
 use std::sync::Arc;
 
@@ -12,9 +12,9 @@ use portolan_worlds::three_d::{Moment, Ray3, SolidWorld};
 
 /// Functions that are the same on every system.
 const FUNCTIONS: Trigonometry = Trigonometry { sin_cos: libm::sincos, atan2: libm::atan2 };
-/// Of nine directions into the sky so many must be free.
+/// Minimum number of free directions for a fix, of nine into the sky.
 const FREE_DIRECTIONS: usize = 6;
-/// What is farther away does not hide satellites, metres.
+/// Maximum distance at which surfaces hide satellites, metres.
 const HORIZON: f64 = 60.0;
 /// Time constant of the slow error, seconds.
 const WANDER_TIME: f64 = 60.0;
@@ -26,7 +26,7 @@ pub struct GnssOptions {
     pub topic: String,
     /// Frame of its antenna. Default `gnss`.
     pub frame: String,
-    /// Where the antenna is on its carrier; it has no orientation. Default 0.7 m above `base_link`.
+    /// Position of the antenna on the platform; it has no orientation. Default 0.7 m above `base_link`.
     pub base_from_antenna: Rigid3,
     /// Fixes per second. Default 5.
     pub rate: f64,
@@ -38,7 +38,7 @@ pub struct GnssOptions {
     pub noise: f64,
     /// Standard deviation of a slow error (a minute), metres. Default 0.15.
     pub wander: f64,
-    /// From, to in seconds since the start: no fix there. Default none.
+    /// Start and end of intervals without fixes, seconds since the start. Default none.
     pub outages: Vec<[f64; 2]>,
     /// Whether there is no fix under roofs and close to walls. Default yes.
     pub needs_sky: bool,
@@ -114,7 +114,7 @@ impl<M: Motion> GnssStream<M> {
     }
 }
 
-/// Of unit size east and north; heights are known half as well.
+/// Random error with standard deviation 1 east and north; that of heights is twice as large.
 fn position_error(random: &mut Random) -> Vector3 {
     random.gaussian_vector().component_mul(&Vector3::new(1.0, 1.0, 2.0))
 }

@@ -1,5 +1,5 @@
-//! Gyroscope and accelerometer: angular velocity and specific force of the exact motion, with noise
-//! and wandering biases.
+//! Gyroscope and accelerometer: angular velocity and specific force of the exact motion, with noise and
+//! biases that follow random walks.
 
 use std::sync::Arc;
 
@@ -34,7 +34,7 @@ pub struct ImuOptions {
     pub gyroscope_bias_walk: f64,
     /// Random walk of the accelerometer biases, m/s²/√s. Default 3e-4.
     pub accelerometer_bias_walk: f64,
-    /// m/s². Default 9.81.
+    /// Gravity, m/s². Default 9.81.
     pub gravity: f64,
 }
 
@@ -127,7 +127,7 @@ impl<M: Motion> MessageStream for ImuStream<M> {
         self.accelerometer_bias += random.gaussian_vector() * (o.accelerometer_bias_walk * per_step);
         let imu = Imu {
             header: Header { stamp, frame_id: Arc::clone(&self.frame) },
-            // No orientation is measured: the message says so by −1 in the covariance.
+            // No orientation is measured, which −1 in the covariance reports.
             orientation_xyzw: [0.0, 0.0, 0.0, 1.0],
             orientation_covariance: [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
             angular_velocity: omega.into(),

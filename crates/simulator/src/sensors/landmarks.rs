@@ -1,4 +1,4 @@
-//! Landmarks on walls, seen from near and from in front.
+//! Landmarks on walls, which a camera detects at short range and from the front.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use crate::streams::{ROBOT_FRAME, pose_message};
 use portolan_worlds::Random;
 use portolan_worlds::three_d::{Moment, Ray3, SolidWorld};
 
-/// Seen at most this aslant: cosine of the angle to the normal.
+/// Minimum cosine of the angle between the line of sight and the normal of a landmark that is seen.
 const MOST_ASLANT: f64 = 0.35;
 
 /// A camera that finds landmarks all around.
@@ -22,7 +22,7 @@ pub struct LandmarkOptions {
     pub topic: String,
     /// Lists per second. Default 5.
     pub rate: f64,
-    /// Metres. Default 6.
+    /// Maximum range, metres. Default 6.
     pub range: f64,
     /// Standard deviation of positions, metres. Default 0.02.
     pub position_noise: f64,
@@ -62,7 +62,7 @@ pub(crate) struct LandmarkStream<M> {
     seed: u64,
 }
 
-/// Poses of landmarks in the map: x out of the wall.
+/// Poses of landmarks in the map, with x out of the wall.
 pub(crate) fn landmark_poses(marks: &[(Vector3, Vector3)]) -> Arc<[Rigid3]> {
     let pose = |(place, normal): &(Vector3, Vector3)| {
         let yaw = libm::atan2(normal.y, normal.x);

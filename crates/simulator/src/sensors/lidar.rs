@@ -1,4 +1,4 @@
-//! A spinning planar lidar: every beam leaves the moving robot at a time of its own.
+//! A spinning planar lidar: every beam is fired from the moving robot at its own time.
 
 use std::sync::Arc;
 
@@ -10,14 +10,14 @@ use crate::motion::Walk;
 use portolan_worlds::Random;
 use portolan_worlds::two_d::{Hit, NearbyPeople, Ray, World};
 
-/// Where a lidar is mounted.
+/// Mounting of a lidar.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LidarMount {
     /// Metres ahead of `base_link`.
     pub x: f64,
     /// Metres to the left of `base_link`.
     pub y: f64,
-    /// Metres above `base_link`; beams stay in their plane whatever it is.
+    /// Metres above `base_link`; it has no effect on the beams, which stay in their plane.
     pub z: f64,
     /// Radians to the left.
     pub yaw: f64,
@@ -25,10 +25,10 @@ pub struct LidarMount {
     pub upside_down: bool,
 }
 
-/// What stands in a scan for a beam without a return.
+/// Value in a scan for a beam without a return.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum NoReturn {
-    /// +∞, and −∞ for what is too near (REP 117).
+    /// +∞, and −∞ for a surface that is too near (REP 117).
     #[default]
     Infinity,
     /// `range_max` + 1 m.
@@ -46,7 +46,7 @@ pub struct LidarOptions {
     pub topic: String,
     /// Its frame. Default `laser`.
     pub frame: String,
-    /// Where it is on the robot. Default 0.12 m ahead, 0.2 m up, looking ahead.
+    /// Its mounting on the robot. Default 0.12 m ahead, 0.2 m up, looking ahead.
     pub mount: LidarMount,
     /// Scans per second. Default 10.
     pub rate: f64,
@@ -57,24 +57,24 @@ pub struct LidarOptions {
     pub field_of_view: f64,
     /// Whether the head spins clockwise (negative `angle_increment`). Default no.
     pub clockwise: bool,
-    /// Nearer surfaces are not measured, metres. Default 0.1.
+    /// Minimum range that is measured, metres. Default 0.1.
     pub range_min: f64,
-    /// Farther surfaces are not measured, metres. Default 12.
+    /// Maximum range that is measured, metres. Default 12.
     pub range_max: f64,
     /// Standard deviation of ranges, metres. Default 0.01.
     pub range_noise: f64,
     /// Further standard deviation as a fraction of the range. Default 0.002.
     pub range_noise_relative: f64,
-    /// Ranges are multiples of this, metres; 0 for none. Default 0.001.
+    /// Resolution of ranges, metres; 0 for none. Default 0.001.
     pub range_resolution: f64,
-    /// Probability that a beam has no return although it meets something. Default 0.005.
+    /// Probability that a beam has no return although it hits a surface. Default 0.005.
     pub drop_out: f64,
-    /// Width of the beam, radians: where its two sides meet different surfaces there may be mixed
-    /// pixels. Default 0.004.
+    /// Width of the beam, radians: where its two sides hit different surfaces there may be mixed pixels.
+    /// Default 0.004.
     pub beam_divergence: f64,
-    /// Probability of a range between the two surfaces where the beam meets an edge. Default 0.3.
+    /// Probability of a range between the two surfaces where the beam hits an edge. Default 0.3.
     pub mixed_pixels: f64,
-    /// Whether panes may be seen or passed by chance; otherwise they are always passed. Default yes.
+    /// Whether panes give a return or are passed at random; otherwise they are always passed. Default yes.
     pub glass_returns: bool,
     /// How a missing return is written.
     pub no_return: NoReturn,
@@ -112,7 +112,8 @@ impl Default for LidarOptions {
 }
 
 impl LidarOptions {
-    /// The same lidar without any error: exact ranges, no drop-outs, no mixed pixels, panes unseen.
+    /// The same lidar without any error: exact ranges, no drop-outs, no mixed pixels, no returns from
+    /// panes.
     pub fn without_noise(self) -> Self {
         Self {
             range_noise: 0.0,
@@ -156,7 +157,7 @@ pub(crate) struct Lidar {
     half_divergence: Vector2,
 }
 
-/// Beams that differ by more than this on their two sides lie on an edge, metres.
+/// Difference of the ranges of the two sides of a beam above which it is on an edge, metres.
 const EDGE: f64 = 0.08;
 
 impl Lidar {
@@ -266,7 +267,7 @@ impl Lidar {
         Some(hit)
     }
 
-    /// What one side of the beam meets may lie at another range: the measured one lies between.
+    /// One side of the beam may hit a surface at another range: the measured range is then between the two.
     fn mix_edges(&self, scene: &BeamScene<'_>, ray: &Ray, hit: &mut Hit, random: &mut Random) {
         let (c, s) = (self.half_divergence.x, self.half_divergence.y);
         let s = if random.chance(0.5) { s } else { -s };
@@ -279,7 +280,7 @@ impl Lidar {
         }
     }
 
-    /// The first surface that sends light back.
+    /// The first surface that gives a return.
     fn shoot(&self, scene: &BeamScene<'_>, ray: &Ray, random: &mut Random) -> Option<Hit> {
         let mut crossings = scene.world.fixed().cast(ray, self.options.range_max + 1.0);
         if let Some(leg) = scene.people.cast(ray, scene.time, &scene.robot)
@@ -320,18 +321,19 @@ impl Lidar {
     }
 }
 
-/// What a beam is fired into.
+/// Surroundings of a beam.
 struct BeamScene<'a> {
     world: &'a World,
     people: &'a NearbyPeople<'a>,
-    /// Seconds of the walk.
+    /// Time of the walk at which it is fired, seconds.
     time: f64,
-    /// Where `base_link` is, metres in the map.
+    /// Position of `base_link`, metres in the map.
     robot: Vector2,
 }
 
-/// Probability that a pane is seen: head on it mirrors the beam back; at grazing angles it reflects
-/// ever more (Schlick's approximation of Fresnel's equations); otherwise only dirt is seen.
+/// Probability that a pane gives a return: near normal incidence it reflects the beam back; towards grazing
+/// incidence its reflectance rises (Schlick's approximation of Fresnel's equations); otherwise only dirt
+/// gives a return.
 fn pane_visibility(cos_incidence: f64) -> f64 {
     let head_on = if cos_incidence > 0.995 { 0.8 } else { 0.0 };
     let away = 1.0 - cos_incidence;
@@ -339,7 +341,7 @@ fn pane_visibility(cos_incidence: f64) -> f64 {
     (0.05 + head_on + 0.95 * square * square * away).min(1.0)
 }
 
-/// Light that comes back, in arbitrary units up to about 1000, with 3 % noise.
+/// Intensity of a return, in arbitrary units up to about 1000, with 3 % noise.
 fn intensity(hit: &Hit, random: &mut Random) -> f32 {
     let falloff = 1.0 + 0.01 * hit.range * hit.range;
     let light = 1000.0 * hit.material.albedo() * (0.2 + 0.8 * hit.cos_incidence) / falloff;

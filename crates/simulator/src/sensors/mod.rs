@@ -1,4 +1,5 @@
-//! What the robot carries: lidars, wheels, an IMU; and what can be wrong with them.
+//! Sensors of the platform: lidars, wheels, IMU, satellite receiver and a camera for landmarks; and their
+//! faults.
 
 mod beam_table;
 mod faults;

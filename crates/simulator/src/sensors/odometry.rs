@@ -1,4 +1,4 @@
-//! Wheel odometry of a differential drive: what the encoders count, added up.
+//! Wheel odometry of a differential drive: the integrated counts of the encoders.
 
 use std::sync::Arc;
 
@@ -25,12 +25,12 @@ pub struct OdometryOptions {
     pub wheel_size_error: f64,
     /// Standard deviation of the relative error of the wheel separation; drawn once. Default 0.01.
     pub wheel_separation_error: f64,
-    /// Random error of each wheel, metres after one metre; grows with the root of the distance.
+    /// Random error of each wheel, metres after one metre; grows with the square root of the distance.
     /// Default 0.004.
     pub noise: f64,
     /// Slip events per minute. Default 1.
     pub slips_per_minute: f64,
-    /// How much farther a slipping wheel turns than the ground moves, as a fraction. Default 0.3.
+    /// Fraction by which a slipping wheel turns farther than the ground moves. Default 0.3.
     pub slip_ratio: f64,
     /// Metres of travel per encoder count; 0 for infinitely fine. Default 0.0005.
     pub encoder_resolution: f64,
@@ -54,7 +54,7 @@ impl Default for OdometryOptions {
 }
 
 impl OdometryOptions {
-    /// The same wheels without any error except that of adding up steps.
+    /// The same wheels without any error except that of the integration.
     pub fn without_noise(self) -> Self {
         Self {
             wheel_size_error: 0.0,
@@ -72,14 +72,14 @@ impl OdometryOptions {
 struct Wheel {
     /// Relative error of the circumference.
     size_error: f64,
-    /// Metres turned so far, as the encoder sees it.
+    /// Distance turned so far, as the encoder measures it, metres.
     turned: f64,
-    /// Metres counted so far.
+    /// Distance counted so far, metres.
     counted: f64,
 }
 
 impl Wheel {
-    /// Turns for `distance` metres of ground; metres counted by that.
+    /// Turns the wheel for `distance` metres of ground. Gives the distance counted, metres.
     fn turn(&mut self, distance: f64, slip: f64, noise: f64, resolution: f64) -> f64 {
         self.turned += distance * (1.0 + self.size_error) * (1.0 + slip) + noise * distance.abs().sqrt();
         let counted =
@@ -102,7 +102,7 @@ pub(crate) struct OdometryStream<M> {
     wheels: [Wheel; 2],
     assumed_separation: f64,
     odom_from_base: Rigid2,
-    /// Time, distance and heading at the message before.
+    /// Time, distance and heading at the previous message.
     before: (f64, f64, f64),
 }
 
@@ -137,7 +137,7 @@ impl<M: Rolling> OdometryStream<M> {
         }
     }
 
-    /// Moves on to `time` seconds; forward and angular velocity as counted.
+    /// Advances to `time` seconds. Gives forward and angular velocity as counted, m/s and rad/s.
     fn advance(&mut self, index: u64, time: f64) -> (f64, f64) {
         let (travelled, heading) = self.motion.rolled(time);
         let (time_before, travelled_before, heading_before) = self.before;
@@ -170,8 +170,8 @@ impl<M: Rolling> OdometryStream<M> {
         self.odom_from_base.angle += angle;
     }
 
-    /// How much the left and the right wheel slip at `time` seconds. Every second may begin one event
-    /// of up to 0.6 s.
+    /// Slip of the left and the right wheel at `time` seconds, as a fraction. In every second at most one
+    /// event of up to 0.6 s begins.
     fn slips(&self, time: f64) -> [f64; 2] {
         let mut slips = [0.0; 2];
         if self.options.slips_per_minute <= 0.0 {
@@ -215,7 +215,7 @@ impl<M: Rolling> MessageStream for OdometryStream<M> {
     }
 }
 
-/// A pose in 2D as it stands in messages.
+/// A pose in 2D in the form of messages.
 fn pose_2d(pose: &Rigid2) -> Pose {
     let (sine, cosine) = libm::sincos(0.5 * pose.normalized_angle());
     Pose {

@@ -1,4 +1,5 @@
-//! A lidar with many beams that spins, or turns them otherwise: each is fired from where the moving lidar is at that time.
+//! A lidar with many beams that spins or has another scan pattern: each beam is fired from the pose of the
+//! moving lidar at its time.
 
 use std::sync::Arc;
 
@@ -12,8 +13,8 @@ use portolan_worlds::three_d::{Echo, Ray3, SolidWorld};
 
 /// Bytes of a point: x, y, z, intensity, ring and time, as Velodyne's driver lays them out.
 const POINT_BYTES: usize = 22;
-/// A surface that throws back less than this fraction of what a white one does at the longest range is
-/// not seen.
+/// Minimum light of a return at the maximum range, as a fraction of that of a white surface there; at
+/// shorter range less suffices, with the square of the range.
 const FAINTEST: f64 = 0.04;
 
 /// A spinning lidar.
@@ -23,32 +24,32 @@ pub struct SpinningLidarOptions {
     pub topic: String,
     /// Its frame. Default `lidar`.
     pub frame: String,
-    /// Pose of the lidar on its carrier.
+    /// Pose of the lidar on the platform.
     pub base_from_lidar: Rigid3,
     /// Its beams. Default those of a VLP-16.
     pub beams: BeamTable,
-    /// Turns per second. Default 10.
+    /// Revolutions per second, or sweeps per second of other scan patterns. Default 10.
     pub rate: f64,
     /// Whether the head spins clockwise, seen from above. Default yes.
     pub clockwise: bool,
     /// Seconds after the start at which its first sweep begins. Default 0.
     pub phase: f64,
-    /// Nearer surfaces are not measured, metres. Default 0.4.
+    /// Minimum range that is measured, metres. Default 0.4.
     pub range_min: f64,
     /// Standard deviation of ranges, metres. Default 0.02.
     pub range_noise: f64,
-    /// Ranges are multiples of this, metres; 0 for none. Default 0.002.
+    /// Resolution of ranges, metres; 0 for none. Default 0.002.
     pub range_resolution: f64,
-    /// Probability that a beam has no return although it meets something. Default 0.004.
+    /// Probability that a beam has no return although it hits a surface. Default 0.004.
     pub drop_out: f64,
-    /// Whether dark, slanted and far surfaces may return too little light to be seen. Default yes.
+    /// Whether dark, slanted and far surfaces may return too little light to be detected. Default yes.
     pub faint_returns_lost: bool,
-    /// Whether panes may be seen by chance; otherwise they are always passed. Default yes.
+    /// Whether panes give a return or are passed at random; otherwise they are always passed. Default yes.
     pub glass_returns: bool,
     /// Whether every beam is fired at its own time; otherwise the whole sweep is measured at its stamp.
     /// Default yes.
     pub motion_distortion: bool,
-    /// Whether points say when they were measured (`time`, seconds after the stamp). Default yes.
+    /// Whether points have the time of their measurement (`time`, seconds after the stamp). Default yes.
     pub point_times: bool,
 }
 
@@ -75,7 +76,7 @@ impl Default for SpinningLidarOptions {
 }
 
 impl SpinningLidarOptions {
-    /// The same lidar without any error: exact ranges, no drop-outs, panes unseen.
+    /// The same lidar without any error: exact ranges, no drop-outs, no returns from panes.
     pub fn without_noise(self) -> Self {
         Self {
             range_noise: 0.0,
@@ -106,7 +107,7 @@ pub(crate) struct SpinningLidar {
     seed: u64,
 }
 
-/// Where a lidar is during one firing.
+/// Pose and velocities of a lidar during one firing.
 struct Firing {
     map_from_lidar: Rigid3,
     velocity_in_map: Vector3,
@@ -125,7 +126,7 @@ impl SpinningLidar {
         let beams = (0..table.elevations.len()).map(|i| {
             let delay = if options.motion_distortion { table.delays[i] } else { 0.0 };
             let (sine, cosine) = libm::sincos(table.elevations[i]);
-            // The head turns on while the beams of a firing go out.
+            // The head goes on rotating while the beams of a firing go out.
             let (left, ahead) = libm::sincos(table.azimuth_offsets[i] + spin * table.delays[i]);
             let direction = Vector3::new(cosine * ahead, cosine * left, sine);
             Beam { direction, delay, ring: rings[i] }
@@ -139,7 +140,7 @@ impl SpinningLidar {
         }
     }
 
-    /// rad/s, positive counter-clockwise.
+    /// Angular velocity of the head, rad/s, positive counter-clockwise; 0 for other scan patterns.
     fn spin(options: &SpinningLidarOptions) -> f64 {
         let turn = match options.beams.pattern {
             ScanPattern::Spinning => std::f64::consts::TAU * options.rate,
@@ -148,17 +149,17 @@ impl SpinningLidar {
         if options.clockwise { -turn } else { turn }
     }
 
-    /// Seconds of one revolution.
+    /// Duration of a sweep, seconds.
     pub fn sweep_time(&self) -> f64 {
         1.0 / self.options.rate
     }
 
-    /// Points of a sweep at most.
+    /// Maximum number of points of a sweep.
     pub fn points_per_sweep(&self) -> usize {
         self.beams.len() * self.options.beams.columns
     }
 
-    /// Bytes of a message, about.
+    /// Approximate size of a message, bytes.
     pub fn message_bytes(&self) -> u64 {
         (self.points_per_sweep() * POINT_BYTES) as u64
     }
@@ -201,8 +202,8 @@ impl SpinningLidar {
                 let d = beam.direction;
                 let d = Vector3::new(ahead * d.x - up * d.z, d.y, up * d.x + ahead * d.z);
                 let in_lidar = Vector3::new(cosine * d.x - sine * d.y, sine * d.x + cosine * d.y, d.z);
-                // Between the beams of a firing the lidar goes on as it goes: 55 µs of an acceleration of
-                // 10 m/s² are 15 nm.
+                // Between the beams of a firing the velocities are constant: the error by an acceleration
+                // of 10 m/s² over 55 µs is 15 nm.
                 let straight = rotation * in_lidar;
                 let direction = straight + firing.angular_velocity_in_map.cross(&straight) * beam.delay;
                 let origin = firing.map_from_lidar.translation.vector + firing.velocity_in_map * beam.delay;
@@ -221,7 +222,7 @@ impl SpinningLidar {
         cloud(Header { stamp, frame_id: Arc::clone(&self.frame) }, data, o.point_times)
     }
 
-    /// Range and intensity as measured.
+    /// Range and intensity as measured; none without a return.
     fn measure(&self, echo: &Echo, random: &mut Random) -> Option<(f64, f32)> {
         let o = &self.options;
         if o.drop_out > 0.0 && random.chance(o.drop_out) {

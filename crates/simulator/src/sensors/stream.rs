@@ -1,4 +1,4 @@
-//! When sensors measure, and the interface of everything that makes messages.
+//! Times at which sensors measure, and the interface of all sources of messages.
 
 use portolan_geometry::{Duration, Time};
 use portolan_recording::RecordedMessage;
@@ -11,7 +11,7 @@ pub(crate) trait MessageStream: Send {
     fn next_message(&mut self) -> Option<RecordedMessage>;
 }
 
-/// True time: seconds of the walk to moments and back.
+/// True time: converts between seconds of the walk and times.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Clock {
     pub start: Time,
@@ -52,7 +52,8 @@ impl Schedule {
         self.count
     }
 
-    /// When measurement `index` begins, to the nearest tick: sensors measure exactly when they say.
+    /// Time at which measurement `index` begins, to the nearest tick: sensors measure exactly at their
+    /// stamps.
     pub fn time_of(&self, index: u64) -> Duration {
         let seconds = self.first * TICKS_PER_SECOND + index as f64 * TICKS_PER_SECOND / self.rate;
         Duration::from_ticks(seconds.round() as i64)

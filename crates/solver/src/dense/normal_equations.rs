@@ -20,7 +20,7 @@ impl<const N: usize> Default for NormalEquations<N> {
 }
 
 impl<const N: usize> NormalEquations<N> {
-    /// No residual yet.
+    /// Equations without residuals.
     pub fn new() -> Self {
         Self { hessian: SMatrix::zeros(), gradient: SVector::zeros() }
     }
@@ -48,11 +48,11 @@ impl<const N: usize> NormalEquations<N> {
     }
 
     pub(super) fn is_finite(&self) -> bool {
-        // Sums of products: a value that is not finite anywhere shows in the sums.
+        // Sums of products: any value that is not finite makes the sum not finite.
         (self.hessian.sum() + self.gradient.sum()).is_finite()
     }
 
-    /// The equations for columns of the Jacobian multiplied by `scale`.
+    /// The equations for a Jacobian whose columns are multiplied by `scale`.
     pub(super) fn scaled(&self, scale: &SVector<f64, N>) -> Self {
         let mut scaled = *self;
         for j in 0..N {
@@ -64,7 +64,8 @@ impl<const N: usize> NormalEquations<N> {
         scaled
     }
 
-    /// `−(JᵀJ + D/radius)⁻¹ Jᵀr` with D the diagonal within bounds; `None` unless positive definite.
+    /// `−(JᵀJ + D/radius)⁻¹ Jᵀr`, where D is the diagonal, limited to the bounds; `None` unless positive
+    /// definite.
     pub(super) fn solve_damped(&self, radius: f64, (min, max): (f64, f64)) -> Option<SVector<f64, N>> {
         let mut damped = self.hessian;
         for i in 0..N {
@@ -74,7 +75,7 @@ impl<const N: usize> NormalEquations<N> {
         step.iter().all(|v| v.is_finite()).then_some(step)
     }
 
-    /// Decrease of the cost along `step` as the linear model sees it: `−(gᵀδ + ½ δᵀHδ)`.
+    /// Decrease of the cost along `step` predicted by the linear model: `−(gᵀδ + ½ δᵀHδ)`.
     pub(super) fn model_cost_change(&self, step: &SVector<f64, N>) -> f64 {
         -step.dot(&(self.gradient + 0.5 * (self.symmetric_hessian() * step)))
     }

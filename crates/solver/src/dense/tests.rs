@@ -1,4 +1,4 @@
-//! Classic test problems of Moré, Garbow and Hillstrom (1981) and the odd ends of real use.
+//! Classic test problems of Moré, Garbow and Hillstrom (1981), and edge cases of real use.
 
 use nalgebra::{SMatrix, SVector, Vector1, Vector2, Vector4};
 
@@ -105,7 +105,7 @@ fn what_cannot_be_evaluated_ends_with_the_start() {
     let nan = |_: &Vector1<f64>| Some((Vector1::new(1.0), Vector1::new(f64::NAN)));
     let (x, summary) = solve_dense(&mut Residuals(nan), Vector1::new(1.5), &SolverOptions::default());
     assert_eq!((x[0], summary.termination), (1.5, Termination::EvaluationFailed));
-    // Only the start can be evaluated: every step is refused until the trust region has vanished.
+    // Only the start can be evaluated: every step is rejected until the trust region has vanished.
     let island = |x: &Vector1<f64>| (x[0] == 1.5).then(|| (Vector1::new(1.0), Vector1::new(1.0)));
     let options = SolverOptions { max_num_iterations: 1000, ..Default::default() };
     let (x, summary) = solve_dense(&mut Residuals(island), Vector1::new(1.5), &options);
@@ -115,7 +115,7 @@ fn what_cannot_be_evaluated_ends_with_the_start() {
 
 #[test]
 fn nonmonotonic_steps_never_return_worse_than_monotonic_start() {
-    // A wiggly valley: the cost rises on the way.
+    // A winding valley: the cost rises temporarily.
     let wiggly = |x: &Vector2<f64>| {
         let r = Vector2::new(x.x - 3.0 + (3.0 * x.x).sin(), 5.0 * (x.y - x.x.sin()));
         let j = SMatrix::<f64, 2, 2>::new(1.0 + 3.0 * (3.0 * x.x).cos(), 0.0, -5.0 * x.x.cos(), 5.0);

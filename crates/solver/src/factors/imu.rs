@@ -1,12 +1,12 @@
-//! What an IMU says about consecutive nodes (slam3d §8).
+//! IMU factors between consecutive nodes (slam3d §8).
 
 use portolan_geometry::{Quaternion, Vector3};
 
 use super::rotation::{Matrix3, put, put_residual, read_rotation, read_se3, skew, vector_part_jacobian};
 use crate::sparse::{Factor, VariableId};
 
-/// The rotation integrated between two nodes: `w vec( R_2* R_1 C ΔR C* )`, with C the rotation
-/// tracking_from_imu that is calibrated.
+/// Rotation integrated between two nodes: `w vec( R_2* R_1 C ΔR C* )`, where C is the calibrated rotation
+/// tracking_from_imu.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImuRotation {
     /// First node, second node (poses in 3D), IMU calibration (rotation).
@@ -17,7 +17,7 @@ pub struct ImuRotation {
     pub weight: f64,
 }
 
-/// The change of velocity between the middles of two intervals:
+/// Change of velocity between the middles of two intervals:
 /// `w ( R_2 C Δv − g ½(Δ1+Δ2) e_z − ((p3−p2)/Δ2 − (p2−p1)/Δ1) )`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImuAcceleration {
@@ -61,7 +61,8 @@ impl Factor for ImuRotation {
             let second_from_map = second.rotation.inverse().to_rotation_matrix().into_inner();
             put(by_first, 3, 0, 3, &(by_left_turn * second_from_map));
             put(by_second, 3, 0, 3, &(by_left_turn * second_from_map * -1.0));
-            // exp(δ) C ΔR C* exp(−δ): the turn on the right comes back from the left through the rotation.
+            // exp(δ) C ΔR C* exp(−δ): a rotation on the right becomes one on the left, transformed by the
+            // rotation.
             let seen = seen.to_rotation_matrix().into_inner();
             let through = turned.to_rotation_matrix().into_inner();
             put(by_calibration, 3, 0, 0, &(by_left_turn * seen * (Matrix3::identity() - through)));

@@ -2,12 +2,12 @@
 
 use nalgebra::{SMatrix, SVector};
 
-/// Eigenvalues below this fraction of the largest count as zero or, when negative, as rounding.
+/// Fraction of the largest eigenvalue below which an eigenvalue counts as zero or, if negative, as rounding.
 const RELATIVE_ZERO: f64 = 1e-12;
 
-/// `S` with `SᵀS = Ω` for a symmetric positive semidefinite `Ω`, and whether it had to be repaired: the
-/// directions of negative eigenvalues are given no information. `None` when an entry is not finite.
-/// Only the symmetric part of `Ω` counts.
+/// `S` with `SᵀS = Ω` for a symmetric positive semidefinite `Ω`, and whether `Ω` had to be repaired:
+/// directions with negative eigenvalues get no information. `None` if an entry is not finite. Only the
+/// symmetric part of `Ω` is used.
 pub fn square_root_information<const N: usize>(
     information: &SMatrix<f64, N, N>,
 ) -> Option<(SMatrix<f64, N, N>, bool)> {
@@ -18,7 +18,7 @@ pub fn square_root_information<const N: usize>(
     if let Some(root) = cholesky(&symmetric) {
         return Some((root, false));
     }
-    // Rare, so by the plain method of Jacobi: good for any size and for zero eigenvalues.
+    // Rarely needed, so by the plain Jacobi method, which works for any size and for zero eigenvalues.
     let (values, vectors) = symmetric_eigen(symmetric);
     let zero = RELATIVE_ZERO * values.amax();
     let repaired = values.iter().any(|v| *v < -zero);

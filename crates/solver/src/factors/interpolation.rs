@@ -1,21 +1,22 @@
-//! Poses between two poses, with derivatives (slam2d §14.6 item 2).
+//! Interpolation between two poses, with derivatives (slam2d §14.6 item 2).
 
 use nalgebra as na;
 use portolan_geometry::{Quaternion, Rigid3, Vector3};
 
 use super::rotation::{Matrix3, put};
 
-/// A pose between two others: translation linear, rotation by the shorter arc.
+/// A pose between two others: linear interpolation of translation, rotation along the shorter arc.
 pub(super) struct Interpolated {
     pub pose: Rigid3,
-    /// Fraction of the first and of the second translation.
+    /// Weights of the first and of the second translation.
     pub shares: (f64, f64),
-    /// Half-angle turn of the interpolated rotation by half-angle turns of the first and of the second.
+    /// Derivatives of the half-angle rotation of the interpolated pose with respect to those of the first and
+    /// of the second.
     pub by_first: Matrix3,
     pub by_second: Matrix3,
 }
 
-/// Above this cosine between quaternions the weights are linear.
+/// Cosine between the quaternions above which the weights are linear.
 const LINEAR_ABOVE: f64 = 1.0 - 1e-5;
 
 /// Interpolates at `factor` from the first (0) to the second (1).
@@ -24,11 +25,11 @@ pub(super) fn interpolate(first: &Rigid3, second: &Rigid3, factor: f64) -> Inter
     let dot = q0.coords.dot(&q1.coords);
     let sign = if dot < 0.0 { -1.0 } else { 1.0 };
     let cosine = dot.abs();
-    // Near equality the chord tells the angle far better than its cosine.
+    // For nearly equal rotations the chord gives the angle far more accurately than the cosine.
     let chord = (q0.coords - q1.coords * sign).norm();
     let weights = slerp_weights(cosine, 2.0 * (chord / 2.0).min(1.0).asin(), factor);
     let blended = q0 * weights.first + q1 * (sign * weights.second);
-    // Linear weights leave the norm a little below one.
+    // With linear weights the norm is slightly below one.
     let norm = blended.norm();
     let rotation = Quaternion::new_normalize(blended);
     let along = q0 * weights.first_by_cosine + q1 * (sign * weights.second_by_cosine);
@@ -63,7 +64,7 @@ struct SlerpWeights {
     second_by_cosine: f64,
 }
 
-/// Weights of the two quaternions by the angle between them, with derivatives by its cosine.
+/// Weights of the two quaternions for the angle between them, with derivatives with respect to its cosine.
 fn slerp_weights(cosine: f64, angle: f64, factor: f64) -> SlerpWeights {
     let (f, g) = (factor, 1.0 - factor);
     if cosine >= LINEAR_ABOVE {
@@ -81,8 +82,8 @@ fn slerp_weights(cosine: f64, angle: f64, factor: f64) -> SlerpWeights {
 }
 
 impl Interpolated {
-    /// Carries a Jacobian (6 rows, columns translation then half-angle) by the interpolated pose over to one
-    /// of its ends.
+    /// Converts a Jacobian (6 rows; columns translation, then half-angle) with respect to the interpolated
+    /// pose to one with respect to one of the two poses.
     pub fn carry(&self, by_pose: &[f64; 36], second: bool, jacobian: &mut [f64]) {
         let (share, turn) =
             if second { (self.shares.1, &self.by_second) } else { (self.shares.0, &self.by_first) };

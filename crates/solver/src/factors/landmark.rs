@@ -1,4 +1,4 @@
-//! Landmarks seen between two nodes (slam2d §14.6 item 2, slam3d §9.1).
+//! Observations of landmarks between two nodes (slam2d §14.6 item 2, slam3d §9.1).
 
 use portolan_geometry::{Quaternion, Rigid2, Rigid3, embed_3d};
 
@@ -7,18 +7,18 @@ use super::rotation::{read_se2, read_se3};
 use super::se3_between::{PairJacobians, weighted_residual};
 use crate::sparse::{Factor, VariableId};
 
-/// A landmark seen at a time between two 2D nodes. The tracking frame at that time is interpolated
-/// between the nodes with their gravity alignments; the residual is that of
-/// [`Se3Between`](super::Se3Between) from there to the landmark.
+/// A landmark observed at a time between two 2D nodes. The tracking frame at that time is interpolated
+/// between the nodes with their gravity alignments. The residual is that of [`Se3Between`](super::Se3Between)
+/// from this frame to the landmark.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Landmark2d {
     /// Previous node (2D), next node (2D), landmark (pose in 3D).
     pub variables: [VariableId; 3],
-    /// Time of the observation as a fraction of the way from the previous to the next node.
+    /// Time of the observation: 0 at the previous, 1 at the next node.
     pub interpolation_factor: f64,
     /// Gravity alignment (gravity-aligned from tracking) of the previous and of the next node.
     pub gravity_alignments: [Quaternion; 2],
-    /// The landmark seen from the tracking frame.
+    /// Pose of the landmark in the tracking frame.
     pub tracking_from_landmark: Rigid3,
     /// Weight of the translation residual, 1/m.
     pub translation_weight: f64,
@@ -26,14 +26,14 @@ pub struct Landmark2d {
     pub rotation_weight: f64,
 }
 
-/// A landmark seen at a time between two nodes in 3D; otherwise like [`Landmark2d`].
+/// A landmark observed at a time between two nodes in 3D; otherwise like [`Landmark2d`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Landmark3d {
     /// Previous node, next node, landmark: poses in 3D.
     pub variables: [VariableId; 3],
-    /// Time of the observation as a fraction of the way from the previous to the next node.
+    /// Time of the observation: 0 at the previous, 1 at the next node.
     pub interpolation_factor: f64,
-    /// The landmark seen from the tracking frame.
+    /// Pose of the landmark in the tracking frame.
     pub tracking_from_landmark: Rigid3,
     /// Weight of the translation residual, 1/m.
     pub translation_weight: f64,
@@ -48,8 +48,8 @@ fn tracking_pose(node: &Rigid2, gravity_alignment: &Quaternion) -> Rigid3 {
 }
 
 impl Landmark2d {
-    /// The tracking frame at the time of the observation, for nodes at the given poses. Where the landmark
-    /// is first put: that times `tracking_from_landmark`.
+    /// The tracking frame at the time of the observation, for nodes at the given poses. Multiplied by
+    /// `tracking_from_landmark` it gives the initial pose of the landmark.
     pub fn interpolated_tracking_pose(&self, previous: &Rigid2, next: &Rigid2) -> Rigid3 {
         self.interpolate(previous, next).pose
     }
@@ -101,7 +101,7 @@ impl Factor for Landmark2d {
             tracking.carry(&by_pose, second, &mut by_node);
             let (by_xy, rest) = jacobian.split_at_mut(12);
             by_xy.copy_from_slice(&by_node[..12]);
-            // The heading turns by twice the half-angle about z.
+            // The heading changes by twice the half-angle about z.
             rest.iter_mut().zip(&by_node[30..]).for_each(|(j, v)| *j = 0.5 * v);
         }
         true

@@ -1,4 +1,4 @@
-//! Factors that pull one variable towards a value.
+//! Prior factors on one variable.
 
 use nalgebra as na;
 use portolan_geometry::{Quaternion, Rigid2, Rigid3, Vector3, normalize_angle};
@@ -6,12 +6,12 @@ use portolan_geometry::{Quaternion, Rigid2, Rigid3, Vector3, normalize_angle};
 use super::rotation::{Matrix3, put, put_residual, read_rotation, read_se2, read_se3, vector_part_jacobian};
 use crate::sparse::{Factor, VariableId};
 
-/// A 2D pose near a given one: `( w_t (t − t*), w_r norm(θ − θ*) )`.
+/// Prior on a 2D pose: `( w_t (t − t*), w_r norm(θ − θ*) )`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Se2Prior {
     /// The 2D pose.
     pub variable: VariableId,
-    /// Where it is pulled.
+    /// Prior value.
     pub pose: Rigid2,
     /// Weight of the translation residual, 1/m.
     pub translation_weight: f64,
@@ -19,13 +19,13 @@ pub struct Se2Prior {
     pub rotation_weight: f64,
 }
 
-/// A pose near a given one: `( w_t (t − t*), 2 w_r vec(q*⁻¹ ⊗ q) )`, the quaternion taken with w ≥ 0, so that
-/// the rotation residual is about the rotation vector in the given frame.
+/// Prior on a pose: `( w_t (t − t*), 2 w_r vec(q*⁻¹ ⊗ q) )`. The sign of the quaternion is chosen with w ≥ 0,
+/// so that the rotation residual is approximately the rotation vector in the frame of the prior.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Se3Prior {
     /// The pose.
     pub variable: VariableId,
-    /// Where it is pulled.
+    /// Prior value.
     pub pose: Rigid3,
     /// Weight of the translation residual, 1/m.
     pub translation_weight: f64,
@@ -33,26 +33,26 @@ pub struct Se3Prior {
     pub rotation_weight: f64,
 }
 
-/// A rotation near a given one: `2 w vec(q*⁻¹ ⊗ q)`, the quaternion taken with w ≥ 0, so that the residual is
-/// about the rotation vector in the given frame.
+/// Prior on a rotation: `2 w vec(q*⁻¹ ⊗ q)`. The sign of the quaternion is chosen with w ≥ 0, so that the
+/// residual is approximately the rotation vector in the frame of the prior.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RotationPrior {
     /// The rotation.
     pub variable: VariableId,
-    /// Where it is pulled.
+    /// Prior value.
     pub rotation: Quaternion,
     /// Weight of the residual, 1/rad.
     pub weight: f64,
 }
 
-/// Numbers near given ones: `w (x − x*)`, for up to four numbers of a Euclidean, 2D or scalar variable.
+/// Prior on up to four numbers of a Euclidean, 2D or scalar variable: `w (x − x*)`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EuclideanPrior {
     /// The variable.
     pub variable: VariableId,
-    /// Where it is pulled; as many numbers as the variable has.
+    /// Prior value; as many numbers as the variable has.
     pub target: na::Vector4<f64>,
-    /// How many of `target` count.
+    /// Number of components of `target` that are used.
     pub dimension: usize,
     /// Weight of every component.
     pub weight: f64,
@@ -112,7 +112,8 @@ impl Factor for Se3Prior {
     }
 }
 
-/// Twice the weighted vector part of the turn from a rotation to another, and its derivative by the latter.
+/// Twice the weighted vector part of the rotation from `from` to `to`, and its derivative with respect to
+/// `to`.
 fn turn_between(from: &Quaternion, to: &Quaternion, weight: f64) -> (Vector3, Matrix3) {
     let mut error = from.inverse() * to;
     if error.w < 0.0 {

@@ -1,6 +1,6 @@
-//! Derivatives of rotations, and poses as they are stored in variables.
+//! Derivatives of rotations, and conversion of variables to poses.
 //!
-//! Rotations are moved from the left by half-angle vectors δ: `q ← exp(δ) ⊗ q`, which turns `R v` by the
+//! Rotations are updated from the left by half-angle vectors δ: `q ← exp(δ) ⊗ q`, which rotates `R v` by the
 //! rotation vector 2δ.
 
 use nalgebra as na;
@@ -8,23 +8,23 @@ use portolan_geometry::{Quaternion, Rigid2, Rigid3, Vector3};
 
 pub(super) type Matrix3 = na::Matrix3<f64>;
 
-/// A 2D pose from its variable.
+/// The 2D pose of a variable.
 pub(super) fn read_se2(values: &[f64]) -> Option<Rigid2> {
     let &[x, y, angle] = values else { return None };
     Some(Rigid2::new(x, y, angle))
 }
 
-/// A pose from its variable.
+/// The pose of a variable.
 pub(super) fn read_se3(values: &[f64]) -> Option<Rigid3> {
     let (translation, rotation) = values.split_at_checked(3)?;
     let &[x, y, z] = translation else { return None };
     Some(Rigid3::from_parts(na::Translation3::new(x, y, z), read_rotation(rotation)?))
 }
 
-/// A rotation from its variable.
+/// The rotation of a variable.
 pub(super) fn read_rotation(values: &[f64]) -> Option<Quaternion> {
     let &[w, x, y, z] = values else { return None };
-    // The manifold keeps the norm.
+    // The manifold keeps the norm at one.
     Some(Quaternion::new_unchecked(na::Quaternion::new(w, x, y, z)))
 }
 
@@ -52,12 +52,12 @@ pub(super) fn vector_part_jacobian(q: &Quaternion) -> Matrix3 {
     Matrix3::identity() * q.w - skew(&q.imag())
 }
 
-/// `angleaxis(q)`, the rotation vector of at most π.
+/// `angleaxis(q)`, the rotation vector of length at most π.
 pub(super) fn log(q: &Quaternion) -> Vector3 {
     portolan_geometry::angle_axis_from_quaternion(q)
 }
 
-/// Copies a matrix into a column-major Jacobian of `rows` rows at a place.
+/// Copies a matrix into a column-major Jacobian with `rows` rows, at the given row and column.
 pub(super) fn put(jacobian: &mut [f64], rows: usize, row: usize, column: usize, block: &Matrix3) {
     for c in 0..3 {
         let at = (column + c) * rows + row;
@@ -67,7 +67,7 @@ pub(super) fn put(jacobian: &mut [f64], rows: usize, row: usize, column: usize, 
     }
 }
 
-/// Copies a vector into a residual at a place.
+/// Copies a vector into a residual, from the given row on.
 pub(super) fn put_residual(residual: &mut [f64], row: usize, part: &Vector3) {
     if let Some(target) = residual.get_mut(row..row + 3) {
         target.copy_from_slice(part.as_slice());

@@ -7,14 +7,13 @@ use super::rotation::{Matrix3, read_se2};
 use crate::sparse::{Factor, VariableId};
 
 /// A measured pose `from_from_to` with one weight for translation and one for rotation (the residual of
-/// sparse pose adjustment, slam2d §14.6):
-/// `( w_t (z_xy − R(θ_i)ᵀ(t_j − t_i)), w_r norm(z_θ − (θ_j − θ_i)) )`. Also relates a fixed frame (`from`) to
-/// a node.
+/// sparse pose adjustment, slam2d §14.6): `( w_t (z_xy − R(θ_i)ᵀ(t_j − t_i)), w_r norm(z_θ − (θ_j − θ_i)) )`.
+/// It can also relate a fixed frame (`from`) to a node.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Se2Between {
     /// The two poses i and j.
     pub variables: [VariableId; 2],
-    /// Pose j seen from pose i.
+    /// Pose of j in the frame of i.
     pub measurement: Rigid2,
     /// Weight of the translation residual, 1/m.
     pub translation_weight: f64,
@@ -28,13 +27,13 @@ pub struct Se2Between {
 pub struct Se2BetweenInformation {
     /// The two poses i and j.
     pub variables: [VariableId; 2],
-    /// Pose j seen from pose i.
+    /// Pose of j in the frame of i.
     pub measurement: Rigid2,
     /// `S` with `SᵀS = Ω`; see [`square_root_information`](super::square_root_information).
     pub square_root_information: Matrix3,
 }
 
-/// Pose j seen from pose i, with derivatives by both as columns (x, y, θ).
+/// Pose of j in the frame of i, with derivatives with respect to both as columns (x, y, θ).
 struct Relative {
     translation: na::Vector2<f64>,
     angle: f64,
@@ -55,7 +54,7 @@ fn relative(from: &Rigid2, to: &Rigid2) -> Relative {
     }
 }
 
-/// Reads both poses; writes `linear · relative pose` derivatives.
+/// Reads both poses and writes the derivatives of `linear · relative pose`.
 fn write_jacobians(jacobians: Option<&mut [&mut [f64]]>, linear: &Matrix3, relative: &Relative) {
     if let Some([from, to]) = jacobians {
         from.copy_from_slice((linear * relative.by_from).as_slice());
@@ -109,7 +108,7 @@ impl Factor for Se2BetweenInformation {
         let (Some(from), Some(to)) = (read_se2(from), read_se2(to)) else { return false };
         let relative = relative(&from, &to);
         let (s, c) = self.measurement.angle.sin_cos();
-        // The difference of translations is turned into the frame of the measured pose j.
+        // The difference of translations is rotated into the frame of the measured pose j.
         let turn = Matrix3::new(c, s, 0.0, -s, c, 0.0, 0.0, 0.0, 1.0);
         let translation = relative.translation - self.measurement.translation;
         let angle = normalize_angle(relative.angle - self.measurement.angle);

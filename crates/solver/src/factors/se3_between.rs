@@ -6,14 +6,13 @@ use super::rotation::{inverse_left_jacobian, log, put, put_residual, read_se3, s
 use crate::sparse::{Factor, VariableId};
 
 /// A measured pose `from_from_to` with one weight for translation and one for rotation (the residual of
-/// sparse pose adjustment, slam3d §9.1):
-/// `( w_t (z_t − R_iᵀ(t_j − t_i)), w_r angleaxis(R_jᵀ R_i R_z) )`. Also relates a fixed frame (`from`) to a
-/// node.
+/// sparse pose adjustment, slam3d §9.1): `( w_t (z_t − R_iᵀ(t_j − t_i)), w_r angleaxis(R_jᵀ R_i R_z) )`. It
+/// can also relate a fixed frame (`from`) to a node.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Se3Between {
     /// The two poses i and j.
     pub variables: [VariableId; 2],
-    /// Pose j seen from pose i.
+    /// Pose of j in the frame of i.
     pub measurement: Rigid3,
     /// Weight of the translation residual, 1/m.
     pub translation_weight: f64,
@@ -21,7 +20,7 @@ pub struct Se3Between {
     pub rotation_weight: f64,
 }
 
-/// Derivatives by the tangents of both poses, column by column.
+/// Derivatives with respect to the tangents of both poses, column by column.
 pub(super) struct PairJacobians<'a> {
     pub from: &'a mut [f64],
     pub to: &'a mut [f64],

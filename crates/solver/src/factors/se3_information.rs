@@ -7,17 +7,17 @@ use super::rotation::{Matrix3, inverse_left_jacobian, log, read_se3, skew, vecto
 use crate::sparse::{Factor, VariableId};
 
 /// How the difference `E = z⁻¹ x_i⁻¹ x_j` between measured and estimated relative pose, with rotation R and
-/// translation t, becomes six numbers. They agree to first order except for the factor of two.
+/// translation t, is mapped to six numbers. The conventions agree to first order except for a factor of two.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Se3ErrorConvention {
     /// The logarithm of SE(3), `(V⁻¹ t, log R)`: translation along the screw motion, rotation vector.
-    /// Information in 1/rad². Default: published optima of the standard graphs are in this convention.
+    /// Information in 1/rad². Default: the published optima of the standard graphs use this convention.
     #[default]
     Logarithm,
-    /// `(t, 2 vec(q))` with w ≥ 0: nearly the rotation vector, but large errors count less.
+    /// `(t, 2 vec(q))` with w ≥ 0: nearly the rotation vector, but large errors have less weight.
     DoubledQuaternion,
-    /// `(t, vec(q))` with w ≥ 0: what the program g2o itself computes for EDGE_SE3:QUAT. Rotations count a
-    /// quarter of what they count with the others.
+    /// `(t, vec(q))` with w ≥ 0: the error of EDGE_SE3:QUAT in the program g2o. Rotations have a quarter of
+    /// their weight in the other conventions.
     Quaternion,
 }
 
@@ -26,15 +26,16 @@ pub enum Se3ErrorConvention {
 pub struct Se3BetweenInformation {
     /// The two poses i and j.
     pub variables: [VariableId; 2],
-    /// Pose j seen from pose i.
+    /// Pose of j in the frame of i.
     pub measurement: Rigid3,
     /// `S` with `SᵀS = Ω`; see [`square_root_information`](super::square_root_information).
     pub square_root_information: na::Matrix6<f64>,
-    /// What e is.
+    /// Definition of e.
     pub convention: Se3ErrorConvention,
 }
 
-/// Six numbers with derivatives by the translation and by a left half-angle turn of the difference.
+/// An error of six numbers, with derivatives with respect to the translation of the difference and to a
+/// half-angle rotation of it from the left.
 struct Error {
     value: na::Vector6<f64>,
     by_translation: na::Matrix6x3<f64>,
@@ -42,7 +43,7 @@ struct Error {
 }
 
 impl Se3ErrorConvention {
-    /// The error of a difference of poses.
+    /// The error for a difference of poses.
     pub fn error(self, difference: &Rigid3) -> na::Vector6<f64> {
         let t = difference.translation.vector;
         let (translation, rotation) = match self {
@@ -141,7 +142,7 @@ impl Factor for Se3BetweenInformation {
         let turned = turned.to_rotation_matrix().into_inner();
         let by_translation = root * (error.by_translation * turned);
         let by_turn = root * (error.by_turn * turned);
-        // Turning the frame i moves j about its origin, with the lever d.
+        // A rotation of the frame i moves j about the origin of i, with the lever arm d.
         let by_turn_of_from = by_translation * (skew(&d) * 2.0) - by_turn;
         by_to[..18].copy_from_slice(by_translation.as_slice());
         by_to[18..].copy_from_slice(by_turn.as_slice());

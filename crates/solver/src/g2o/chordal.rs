@@ -1,19 +1,19 @@
-//! Rotations first: initial values from two linear problems (Carlone et al., "Initialization techniques for
+//! Initial values from two linear problems, rotations first (Carlone et al., "Initialization techniques for
 //! 3D SLAM", ICRA 2015, section III-B).
 //!
-//! 1. Rotation matrices are found as matrices, without their constraints: `min Σ w_r ‖R_j − R_i R_ij‖²`, and
-//!    then projected. The rows of all R decouple and share one matrix.
-//! 2. With rotations known, positions are linear: `min Σ w_t ‖t_j − t_i − R_i t_ij‖²`.
+//! 1. Rotation matrices are estimated without the constraint of orthogonality, `min Σ w_r ‖R_j − R_i R_ij‖²`,
+//!    and then projected to rotations. The rows of all R decouple and share one matrix.
+//! 2. With known rotations, positions are a linear problem: `min Σ w_t ‖t_j − t_i − R_i t_ij‖²`.
 
 use super::graph::{GraphError, PoseGraph};
 use super::pose::GraphPose;
 use crate::ProblemError;
 use crate::sparse::BlockSystem;
 
-/// Information of edges that have none, relative to one; keeps the equations regular.
+/// Information assumed for edges without information, relative to one; keeps the equations regular.
 const LEAST_INFORMATION: f64 = 1e-9;
 
-/// One linear problem over the vertices that are not held, with blocks of one size.
+/// One linear problem over the vertices that are not held, with blocks of equal size.
 struct Relaxation {
     system: BlockSystem,
     /// Position of each vertex in the order of elimination, if it is free.
@@ -43,7 +43,7 @@ impl Relaxation {
         Ok(Self { system, position, size })
     }
 
-    /// First unknown of a vertex.
+    /// Index of the first unknown of a vertex.
     fn start(&self, vertex: u32) -> Option<usize> {
         self.position[vertex as usize].map(|p| self.system.pattern.starts[p as usize] as usize)
     }
@@ -57,8 +57,8 @@ impl Relaxation {
         }
     }
 
-    /// Adds `entry(r, c)` to the block of row vertex `row` and column vertex `column`, or its transpose to
-    /// the other one, whichever is stored.
+    /// Adds `entry(r, c)` to the block with row vertex `row` and column vertex `column`, or its transpose to
+    /// the transposed block, depending on which one is stored.
     fn add_block(&mut self, row: u32, column: u32, entry: impl Fn(usize, usize) -> f64) {
         let (Some(row), Some(column)) = (self.position[row as usize], self.position[column as usize]) else {
             return;
@@ -80,7 +80,7 @@ impl Relaxation {
     }
 }
 
-/// Replaces the poses of all vertices that are not `held`.
+/// Computes the poses of all vertices that are not `held`.
 pub(super) fn initialize<P: GraphPose>(graph: &mut PoseGraph<P>, held: &[bool]) -> Result<(), GraphError> {
     relax_rotations(graph, held)?;
     relax_translations(graph, held)?;
@@ -134,7 +134,7 @@ fn relax_rotations<P: GraphPose>(graph: &mut PoseGraph<P>, held: &[bool]) -> Res
     }
     for ((vertex, rows), held) in graph.vertices.iter_mut().zip(&rows).zip(held) {
         if !held {
-            // A vertex without a direction keeps its old one.
+            // A vertex without a solution keeps its previous rotation.
             vertex.pose = vertex.pose.with_nearest_rotation(&rows[..P::ROTATION_ROWS]).unwrap_or(vertex.pose);
         }
     }

@@ -8,7 +8,7 @@ use super::pose::GraphPose;
 /// Edges at each vertex, by vertex, in the order of edges.
 pub(super) struct Adjacency {
     starts: Vec<u32>,
-    /// Index of the edge, with whether it is walked along its direction.
+    /// Index of the edge, and whether it starts at this vertex.
     entries: Vec<(u32, bool)>,
 }
 
@@ -41,9 +41,9 @@ impl Adjacency {
     }
 }
 
-/// Walks breadth-first from the vertices that are `known`, and when all that can be reached is reached,
-/// from the first vertex left, for which `start` is called. `reach` gets the edge, its direction and the two
-/// vertices, the known one first.
+/// Visits vertices breadth-first from those that are `known`. When everything reachable has been visited, it
+/// continues from the first vertex left, for which `start` is called. `reach` gets the edge, whether it is
+/// followed along its direction, and the two vertices, the known one first.
 pub(super) fn walk<P: GraphPose>(
     graph: &PoseGraph<P>,
     adjacency: &Adjacency,
@@ -76,14 +76,14 @@ pub(super) fn walk<P: GraphPose>(
     }
 }
 
-/// Number of connected parts, and the vertices to be held besides the fixed ones: the first of each part
-/// that has none fixed.
+/// Number of connected parts, and the vertices to be held in addition to the fixed ones: the first vertex of
+/// each part that has no fixed one.
 pub(super) fn anchors<P: GraphPose>(graph: &PoseGraph<P>, adjacency: &Adjacency) -> (usize, Vec<u32>) {
     let n = graph.vertices.len();
     let mut part_of = vec![u32::MAX; n];
     let mut known = vec![false; n];
     let mut starts = Vec::new();
-    // The walk of one part is finished before the next begins.
+    // The visit of one part is finished before the next begins.
     let part_of_start = std::cell::RefCell::new(&mut part_of);
     walk(
         graph,

@@ -1,4 +1,4 @@
-//! Vertices and edges.
+//! Vertices and edges of a pose graph.
 
 use portolan_geometry::{NearFrame, Rigid2, Rigid3, Vector3, is_on_earth, moved};
 
@@ -6,25 +6,25 @@ use super::pose::GraphPose;
 use crate::ProblemError;
 use crate::factors::Se3ErrorConvention;
 
-/// A pose to be found.
+/// A pose to be estimated.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Vertex<P> {
     /// Its number in the file.
     pub id: i64,
     /// Pose in the map.
     pub pose: P,
-    /// Whether it is held where it is.
+    /// Whether it is held constant.
     pub fixed: bool,
 }
 
 /// A measured relative pose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Edge<P: GraphPose> {
-    /// Index of the vertex from which is measured.
+    /// Index of the vertex whose frame the measurement is in.
     pub from: u32,
-    /// Index of the vertex that is measured.
+    /// Index of the vertex whose pose was measured.
     pub to: u32,
-    /// Pose of `to` seen from `from`.
+    /// Pose of `to` in the frame of `from`.
     pub measurement: P,
     /// Inverse covariance of the error `z⁻¹ x_i⁻¹ x_j`.
     pub information: P::Information,
@@ -51,17 +51,17 @@ pub enum Graph {
 /// Why a graph cannot be optimised.
 #[derive(Debug, thiserror::Error)]
 pub enum GraphError {
-    /// Nothing to optimise.
+    /// A graph without vertices.
     #[error("the graph has no vertices")]
     NoVertices,
-    /// An edge points outside the list of vertices.
+    /// An edge refers to a vertex that does not exist.
     #[error("edge {edge} names vertex {vertex}, but there are only {count}")]
     UnknownVertex {
         /// Index of the edge.
         edge: usize,
         /// Index of the vertex.
         vertex: u32,
-        /// How many vertices there are.
+        /// Number of vertices.
         count: usize,
     },
     /// An edge from a vertex to itself.
@@ -85,7 +85,7 @@ pub enum GraphError {
     FarAway {
         /// Its index.
         index: usize,
-        /// How far.
+        /// Its distance, metres.
         metres: f64,
     },
     /// The least-squares problem could not be built or solved.
@@ -93,7 +93,7 @@ pub enum GraphError {
     Problem(#[from] ProblemError),
 }
 
-/// Where a pose is; at height 0 in 2D.
+/// Position of a pose; at height 0 in 2D.
 fn place<P: GraphPose>(pose: &P) -> Vector3 {
     Vector3::from_fn(|i, _| if i < P::SPACE_DIMENSION { pose.translation_entry(i) } else { 0.0 })
 }
@@ -108,7 +108,8 @@ impl<P: GraphPose> PoseGraph<P> {
     /// Whether all indices are in range and all numbers finite.
     ///
     /// # Errors
-    /// If there is no vertex, an edge has a vertex that does not exist or the same at both ends, or a number is not finite.
+    /// If there is no vertex, an edge refers to a vertex that does not exist or to the same one at both ends,
+    /// or a number is not finite.
     pub fn check(&self) -> Result<(), GraphError> {
         let count = self.vertices.len();
         if count == 0 {
@@ -132,7 +133,7 @@ impl<P: GraphPose> PoseGraph<P> {
         Ok(())
     }
 
-    /// A frame near the vertices.
+    /// A frame near the vertices, see [`NearFrame`].
     ///
     /// # Errors
     /// If one of them is not on the Earth.
@@ -144,7 +145,7 @@ impl<P: GraphPose> PoseGraph<P> {
         }
     }
 
-    /// Moves all vertices along the axes of the map, metres.
+    /// Translates all vertices along the axes of the map, metres.
     pub(super) fn move_by(&mut self, shift: &Vector3) {
         for vertex in &mut self.vertices {
             let place = moved(&Rigid3::from_parts(place(&vertex.pose).into(), Default::default()), shift);
@@ -152,7 +153,7 @@ impl<P: GraphPose> PoseGraph<P> {
         }
     }
 
-    /// `eᵀΩe` of an edge at the current poses; zero if it points nowhere.
+    /// `eᵀΩe` of an edge at the current poses; zero if it refers to a vertex that does not exist.
     pub fn edge_chi2(&self, edge: &Edge<P>, convention: Se3ErrorConvention) -> f64 {
         let (from, to) = (self.vertices.get(edge.from as usize), self.vertices.get(edge.to as usize));
         match (from, to) {
@@ -170,7 +171,7 @@ impl<P: GraphPose> PoseGraph<P> {
 }
 
 impl Graph {
-    /// How many vertices there are.
+    /// Number of vertices.
     pub fn vertex_count(&self) -> usize {
         match self {
             Self::TwoD(g) => g.vertices.len(),
@@ -178,7 +179,7 @@ impl Graph {
         }
     }
 
-    /// How many edges there are.
+    /// Number of edges.
     pub fn edge_count(&self) -> usize {
         match self {
             Self::TwoD(g) => g.edges.len(),

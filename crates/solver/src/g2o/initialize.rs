@@ -1,23 +1,23 @@
-//! Where the optimisation starts.
+//! Initial poses of the optimisation.
 
 use super::chordal;
 use super::connectivity::{Adjacency, walk};
 use super::graph::{GraphError, PoseGraph};
 use super::pose::GraphPose;
 
-/// How initial poses are found.
+/// How initial poses are computed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Initialization {
-    /// All of the others are tried for a few iterations; the lowest cost wins. Default.
+    /// All other methods are tried for a few iterations; the lowest cost wins. Default.
     #[default]
     Automatic,
     /// The poses as they are.
     FromFile,
-    /// Measurements between vertices with consecutive numbers are followed first, the rest breadth-first.
+    /// By following measurements between vertices with consecutive numbers first, the others breadth-first.
     Odometry,
-    /// Measurements are followed breadth-first from the anchors: short chains, so little drift.
+    /// By following measurements breadth-first from the anchors: short chains, so little drift.
     SpanningTree,
-    /// Rotations by linear relaxation, then translations; good even when the poses are far off.
+    /// Rotations by linear relaxation, then translations; works well even if the given poses are far off.
     RotationsFirst,
 }
 
@@ -34,7 +34,7 @@ impl std::fmt::Display for Initialization {
 }
 
 impl Initialization {
-    /// What is tried, in this order; the earlier wins a tie.
+    /// The methods to try, in this order; of equal ones the earlier wins.
     pub(super) fn candidates(&self) -> &[Self] {
         match self {
             Self::Automatic => &[Self::FromFile, Self::RotationsFirst, Self::SpanningTree, Self::Odometry],
@@ -65,8 +65,8 @@ pub(super) fn initialize<P: GraphPose>(
     }
 }
 
-/// Poses by following measurements breadth-first from the known vertices. Parts without a known vertex
-/// keep their first pose.
+/// Computes poses by following measurements breadth-first from the known vertices. In parts without a known
+/// vertex the first vertex keeps its pose.
 pub(super) fn follow<P: GraphPose>(graph: &mut PoseGraph<P>, adjacency: &Adjacency, mut known: Vec<bool>) {
     let mut steps = Vec::with_capacity(graph.vertices.len());
     walk(
@@ -83,7 +83,8 @@ pub(super) fn follow<P: GraphPose>(graph: &mut PoseGraph<P>, adjacency: &Adjacen
     }
 }
 
-/// Follows edges from each number to the next, beginning at known vertices; returns what is known then.
+/// Follows edges from each number to the next, beginning at known vertices; returns the vertices that are
+/// known then.
 fn chain<P: GraphPose>(graph: &mut PoseGraph<P>, held: &[bool]) -> Vec<bool> {
     let mut known = held.to_vec();
     let mut consecutive: Vec<u32> = (0..graph.edges.len() as u32)

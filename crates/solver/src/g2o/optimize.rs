@@ -1,4 +1,4 @@
-//! Optimisation of a graph.
+//! Optimises a pose graph.
 
 use std::ops::ControlFlow;
 
@@ -11,33 +11,36 @@ use crate::factors::Se3ErrorConvention;
 use crate::sparse::Prepared;
 use crate::{Loss, Problem, SolverOptions, Summary, VariableId};
 
-/// Starts whose chi2 differs by a smaller fraction are taken as the same.
+/// Relative difference of chi2 below which two sets of initial poses count as the same.
 const SAME_START: f64 = 1e-3;
-/// A start whose cost after two iterations is so many times the lowest one's is not tried further.
+/// Ratio to the lowest cost above which a trial is stopped, from its second iteration on.
 const HOPELESS: f64 = 2.0;
-/// If steps lower the chi2 of the relaxed rotations to no less than this part, the relaxation is nearly exact, and
-/// other starts are not tried: what they could find at best is the same.
+/// If the trial iterations lower the chi2 of the relaxed rotations to no less than this fraction, the
+/// relaxation is nearly exact. Other initial poses are not tried then: at best they would give the same
+/// result.
 const TIGHT: f64 = 0.9;
 
-/// How a graph is optimised.
+/// Options of the optimisation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OptimizeOptions {
-    /// When to stop, and how bold the steps are. Default: 100 iterations, function tolerance 1e-9, and a
-    /// first step close to Gauss–Newton (radius 1e8), which suits pose graphs with a fair start.
+    /// When to stop, and the size of the steps. Default: 100 iterations, function tolerance 1e-9, and a first
+    /// step close to Gauss–Newton (radius 1e8), which suits pose graphs with fairly good initial poses.
     pub solver: SolverOptions,
-    /// Where to start.
+    /// Method of the initial poses.
     pub initialization: Initialization,
-    /// Iterations for each start that the automatic choice tries. Default 4.
+    /// Number of iterations for each method that the automatic choice tries. Default 4.
     pub trial_iterations: u32,
-    /// What the six numbers of an error in 3D are. Default: the logarithm of SE(3).
+    /// Definition of the six error components in 3D. Default: the logarithm of SE(3).
     pub convention: Se3ErrorConvention,
     /// Robust loss of `√(eᵀΩe)`. Default none.
     pub loss: Loss,
-    /// Whether edges between vertices with consecutive numbers (odometry) get the loss too. Default false.
+    /// Whether the loss also applies to edges between vertices with consecutive numbers (odometry). Default
+    /// false.
     pub loss_on_odometry: bool,
-    /// How many of the worst edges the report lists. Default 10.
+    /// Number of the worst edges that the report lists. Default 10.
     pub worst_edges: usize,
-    /// Whether to estimate the condition of the normal equations; costs about one iteration. Default false.
+    /// Whether to estimate the condition number of the normal equations; costs about one iteration. Default
+    /// false.
     pub estimate_condition: bool,
 }
 
@@ -61,8 +64,8 @@ impl Default for OptimizeOptions {
     }
 }
 
-/// Moves all vertices that are not fixed to the least `Σ ρ(eᵀΩe)`. Where a connected part has no fixed
-/// vertex, its first one is held; see [`Report::anchored`].
+/// Minimises `Σ ρ(eᵀΩe)` over all vertices that are not fixed. In a connected part without a fixed vertex the
+/// first vertex is held; see [`Report::anchored`].
 ///
 /// # Errors
 /// As [`optimize_pose_graph`].
@@ -76,13 +79,14 @@ pub fn optimize_graph(graph: &mut Graph, options: &OptimizeOptions) -> Result<Re
 /// [`optimize_graph`] for poses of one kind.
 ///
 /// # Errors
-/// The graph is not valid ([`PoseGraph::check`]), a vertex is not on the Earth, or the problem cannot be solved: see [`GraphError`].
+/// If the graph is not valid ([`PoseGraph::check`]), a vertex is not on the Earth, or the problem cannot be
+/// solved; see [`GraphError`].
 pub fn optimize_pose_graph<P: GraphPose>(
     graph: &mut PoseGraph<P>,
     options: &OptimizeOptions,
 ) -> Result<Report, GraphError> {
     graph.check()?;
-    // When steps are short enough is judged by how far poses are from the origin.
+    // The parameter tolerance is relative to the norm of the poses, so they must be near the origin.
     let frame = graph.near_frame()?;
     graph.move_by(&-frame.origin());
     let report = optimize_near(graph, options);
@@ -90,7 +94,7 @@ pub fn optimize_pose_graph<P: GraphPose>(
     report
 }
 
-/// Optimises a graph that lies near the origin.
+/// Optimises a graph near the origin.
 fn optimize_near<P: GraphPose>(
     graph: &mut PoseGraph<P>,
     options: &OptimizeOptions,
@@ -102,7 +106,7 @@ fn optimize_near<P: GraphPose>(
         held[*vertex as usize] = true;
     }
     let chi2_before = graph.chi2(options.convention);
-    // Before there is room for the normal equations, because some starts solve equations of their own.
+    // Before the normal equations are allocated, because some methods solve equations of their own.
     let starts = Starts::collect(graph, &adjacency, &held, options);
     drop(adjacency);
     let mut optimizer = Optimizer::new(graph, &held, options)?;
@@ -135,7 +139,7 @@ struct Optimizer {
     trials: Vec<(Initialization, f64)>,
 }
 
-/// A start, after its trial if there was one.
+/// Initial poses, or the poses after their trial.
 struct Start<P> {
     how: Initialization,
     chi2_initialized: f64,
@@ -144,11 +148,11 @@ struct Start<P> {
     poses: Vec<P>,
 }
 
-/// All different starts that can be formed.
+/// All different sets of initial poses that could be computed.
 struct Starts<P> {
-    /// The least cost first.
+    /// In ascending order of their initial chi2.
     starts: Vec<Start<P>>,
-    /// Why the first of the others cannot be formed.
+    /// The first error of a method that failed.
     error: Option<GraphError>,
 }
 
@@ -221,8 +225,9 @@ impl Optimizer {
         self.variables.iter().map(|id| P::read_variable(&self.problem, *id)).collect()
     }
 
-    /// Tries the starts for a few iterations, the one with the least cost first; a start is given up when it
-    /// stays far above the best so far. One that cannot be formed is left out as long as another one can.
+    /// Tries all initial poses for a few iterations, in ascending order of their initial chi2. A trial is
+    /// stopped if its cost stays far above the lowest so far. A method that fails is left out if another one
+    /// succeeds.
     fn choose_start<P: GraphPose>(
         &mut self,
         starts: Starts<P>,

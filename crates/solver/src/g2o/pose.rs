@@ -1,4 +1,4 @@
-//! What pose graphs in 2D and 3D have in common.
+//! Interface of poses in 2D and in 3D as vertices.
 
 mod three_d;
 mod two_d;
@@ -16,25 +16,25 @@ use crate::{FactorId, Loss, Problem, ProblemError, VariableId};
 pub trait GraphPose: Copy + PartialEq + Debug + Send + Sync + 'static + Mul<Output = Self> {
     /// Symmetric matrix of the size of the error.
     type Information: Copy + PartialEq + Debug + Send + Sync + AsRef<[f64]> + 'static;
-    /// Components of the error, and degrees of freedom.
+    /// Number of components of the error, which is the number of degrees of freedom.
     const DIMENSION: usize;
-    /// Size of the rotation matrix, and components of the translation.
+    /// Size of the rotation matrix, and number of components of the translation.
     const SPACE_DIMENSION: usize;
-    /// Rows of a rotation matrix that determine it, and that the relaxed problem is solved for.
+    /// Number of rows of a rotation matrix that determine it and that the relaxed problem solves for.
     const ROTATION_ROWS: usize;
     /// Tags of vertices and edges in g2o files.
     const TAGS: (&'static str, &'static str);
 
-    /// The pose that changes nothing.
+    /// The identity.
     fn identity() -> Self;
-    /// The way back.
+    /// The inverse.
     fn inverted(&self) -> Self;
     /// Whether every number is finite.
     fn is_finite(&self) -> bool;
-    /// From numbers as they stand in files; also whether they had to be normalised by much. `None` when they
-    /// make up no pose.
+    /// A pose from numbers as stored in files, and whether the quaternion had to be normalised by much.
+    /// `None` if they are not a pose.
     fn from_numbers(numbers: &[f64]) -> Option<(Self, bool)>;
-    /// Numbers as they stand in files.
+    /// Numbers as stored in files.
     fn to_numbers(&self) -> Vec<f64>;
     /// A symmetric matrix from its upper triangle, row by row.
     fn information_from_upper(upper: &[f64]) -> Option<Self::Information>;
@@ -51,7 +51,7 @@ pub trait GraphPose: Copy + PartialEq + Debug + Send + Sync + 'static + Mul<Outp
     fn rotation_entry(&self, i: usize, j: usize) -> f64;
     /// Component `i` of the translation.
     fn translation_entry(&self, i: usize) -> f64;
-    /// The pose with the nearest rotation to a matrix given by its determining rows, if there is one.
+    /// The pose with the rotation nearest to a matrix given by its determining rows, if there is one.
     fn with_nearest_rotation(&self, rows: &[[f64; 3]]) -> Option<Self>;
     /// The pose with another translation.
     fn with_translation(&self, translation: &[f64; 3]) -> Self;
@@ -59,9 +59,9 @@ pub trait GraphPose: Copy + PartialEq + Debug + Send + Sync + 'static + Mul<Outp
     fn add_variable(&self, problem: &mut Problem) -> VariableId;
     /// Reads a vertex from a problem.
     fn read_variable(problem: &Problem, id: VariableId) -> Self;
-    /// Puts a vertex of a problem to this pose.
+    /// Sets a vertex of a problem to this pose.
     fn write_variable(&self, problem: &mut Problem, id: VariableId) -> Result<(), ProblemError>;
-    /// Adds an edge to a problem; also tells whether its information had to be repaired.
+    /// Adds an edge to a problem; also returns whether its information matrix had to be repaired.
     fn add_edge(
         problem: &mut Problem,
         variables: [VariableId; 2],
@@ -72,10 +72,10 @@ pub trait GraphPose: Copy + PartialEq + Debug + Send + Sync + 'static + Mul<Outp
     ) -> Result<(FactorId, bool), ProblemError>;
 }
 
-/// Larger coordinates and angles make up no pose: sums of them along chains of edges, and squares of these, stay finite.
+/// Limit of coordinates and angles of a pose: sums along chains of edges, and their squares, stay finite.
 const LARGEST: f64 = 1e100;
 
-/// Whether the numbers of a vertex or a measurement may make up a pose.
+/// Whether the numbers of a vertex or a measurement can be a pose.
 fn may_be_pose(numbers: &[f64]) -> bool {
     numbers.iter().all(|number| number.abs() <= LARGEST)
 }
@@ -90,7 +90,7 @@ impl<const N: usize> AsRef<[f64]> for InformationMatrix<N> {
     }
 }
 
-/// A matrix from its upper triangle, row by row, as files have it.
+/// A matrix from its upper triangle, row by row, as stored in files.
 fn symmetric<const N: usize>(upper: &[f64]) -> Option<na::SMatrix<f64, N, N>> {
     if upper.len() != N * (N + 1) / 2 || !upper.iter().all(|v| v.is_finite()) {
         return None;

@@ -1,4 +1,4 @@
-//! Reading g2o files.
+//! Reads g2o files.
 
 use std::collections::{BTreeMap, HashMap};
 use std::io::{self, BufRead};
@@ -12,7 +12,7 @@ use super::graph::{Edge, Graph, PoseGraph, Vertex};
 use super::initialize::follow;
 use super::pose::GraphPose;
 
-/// A FIX line may name a million vertices; bytes.
+/// Maximum length of a line, bytes: a FIX line may list a million vertices.
 const MAX_LINE: usize = 16 << 20;
 
 /// Why a g2o file cannot be read.
@@ -21,36 +21,36 @@ pub enum G2oError {
     /// The file could not be read.
     #[error("the file cannot be read: {0}")]
     Io(#[from] io::Error),
-    /// A line that does not say what its tag promises.
+    /// A line whose contents do not match its tag.
     #[error("line {line}: {tag} needs {expected}; the file is damaged or cut off")]
     Malformed {
-        /// From 1.
+        /// Line number, from 1.
         line: usize,
         /// First word of the line.
         tag: String,
-        /// What is needed.
+        /// The expected contents.
         expected: &'static str,
     },
     /// Poses in 2D and in 3D in one file.
     #[error("line {line}: {tag} in a graph of the other dimension; split the file")]
     MixedDimensions {
-        /// From 1.
+        /// Line number, from 1.
         line: usize,
         /// First word of the line.
         tag: String,
     },
-    /// No vertex and no edge.
+    /// The file has no vertex and no edge.
     #[error("the file contains no vertices and edges (VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT)")]
     Empty,
-    /// A line that no graph has; the file is another one.
+    /// A line too long for a g2o file; this is another kind of file.
     #[error(
         "line {line} is longer than {limit_mib} MiB: this is not a g2o file, which is text with a line for each \
         vertex and edge"
     )]
     LongLine {
-        /// From 1.
+        /// Line number, from 1.
         line: usize,
-        /// The limit.
+        /// Maximum length, MiB.
         limit_mib: usize,
     },
     /// More than 4 billion vertices or edges.
@@ -58,37 +58,38 @@ pub enum G2oError {
     TooLarge,
 }
 
-/// What was left out or mended while reading.
+/// What was left out or repaired while reading.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct G2oRepairs {
-    /// Lines of each tag that is not understood; beyond [`G2oRepairs::MAX_TAGS`] different tags under "…".
+    /// Number of lines per unknown tag; beyond [`G2oRepairs::MAX_TAGS`] different tags they are counted under
+    /// "…".
     pub ignored_tags: BTreeMap<String, usize>,
-    /// Vertices given again; the first counts.
+    /// Vertices that were defined again; the first definition is used.
     pub duplicate_vertices: usize,
-    /// Vertices with a number that is not finite or immense, or with a quaternion without direction.
+    /// Vertices with a number that is too large or not finite, or with a quaternion of length zero.
     pub unusable_vertices: usize,
-    /// Vertices that only edges (or unusable lines) name; their poses follow from measurements.
+    /// Vertices to which only edges (or unusable lines) refer; their poses follow from measurements.
     pub created_vertices: usize,
-    /// Edges with a number that is not finite or immense, or with a quaternion without direction; dropped.
+    /// Edges with a number that is too large or not finite, or with a quaternion of length zero; dropped.
     pub unusable_edges: usize,
     /// Edges from a vertex to itself; dropped.
     pub self_edges: usize,
-    /// Quaternions whose norm was off by more than 0.001.
+    /// Quaternions whose norm was off by more than 0.001; normalised.
     pub normalized_quaternions: usize,
     /// FIX lines for vertices that do not exist.
     pub unknown_fixed: usize,
 }
 
 impl G2oRepairs {
-    /// Different unknown tags that are remembered.
+    /// Maximum number of unknown tags that are counted separately.
     pub const MAX_TAGS: usize = 32;
 
-    /// Whether everything in the file was used as it is.
+    /// Whether everything in the file was used as it was.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }
 
-    /// What was not as it should be, in words.
+    /// The repairs in words.
     pub fn notes(&self) -> Vec<String> {
         let mut notes: Vec<String> = self
             .ignored_tags
@@ -117,15 +118,16 @@ impl G2oRepairs {
     }
 }
 
-/// What has so many lines and neither vertices nor edges among them is no pose graph, and perhaps has no end.
+/// Number of lines without a vertex or edge after which reading stops: such a file is not a pose graph and
+/// may be endless.
 const MOST_LINES_BEFORE_GRAPH: usize = 100_000;
 
-/// Reads VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT and FIX; other tags are counted. Lines may come
+/// Reads VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT and FIX. Other tags are counted. Lines may be
 /// in any order.
 ///
 /// # Errors
-/// Reading fails, a line is too long or not what its tag promises, poses in 2D and in 3D are mixed, or the file holds no
-/// graph.
+/// If reading fails, a line is too long or does not match its tag, poses in 2D and in 3D are mixed, or the
+/// file contains no graph.
 pub fn read_g2o(mut input: impl BufRead) -> Result<(Graph, G2oRepairs), G2oError> {
     let mut reader = Reader::default();
     let mut bytes = Vec::new();
@@ -188,7 +190,7 @@ impl Reader {
     }
 }
 
-/// An edge that still names its vertices by their numbers.
+/// An edge that refers to its vertices by their numbers in the file.
 struct RawEdge<P: GraphPose> {
     from: i64,
     to: i64,
@@ -214,7 +216,7 @@ impl<P: GraphPose> Builder<P> {
         !self.seen
     }
 
-    /// Takes a line apart; on error says what is needed.
+    /// Parses a line; the error is the expected contents.
     fn line<'a>(
         &mut self,
         tag: &str,
@@ -257,7 +259,7 @@ impl<P: GraphPose> Builder<P> {
         }
     }
 
-    /// Adds a vertex unless its number is taken.
+    /// Adds a vertex unless its number is already used; returns whether it was added.
     fn add(&mut self, vertex: Vertex<P>) -> bool {
         let index = self.vertices.len() as u32;
         let is_new = !self.index_of.contains_key(&vertex.id);

@@ -1,18 +1,18 @@
-//! What an optimisation of a graph found.
+//! Report of the optimisation of a graph.
 
 use portolan_numeric::counted;
 
 use super::{Graph, Initialization};
 use crate::Termination;
 
-/// How badly an edge fits.
+/// Residual of an edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EdgeChi2 {
     /// Index of the edge.
     pub edge: usize,
-    /// Number of the vertex from which is measured.
+    /// Number in the file of the vertex whose frame the measurement is in.
     pub from: i64,
-    /// Number of the vertex that is measured.
+    /// Number in the file of the vertex whose pose was measured.
     pub to: i64,
     /// `eᵀΩe`.
     pub chi2: f64,
@@ -21,41 +21,41 @@ pub struct EdgeChi2 {
 /// Result of [`optimize_graph`](super::optimize_graph).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Report {
-    /// `Σ eᵀΩe` of the poses as given.
+    /// `Σ eᵀΩe` of the given poses.
     pub chi2_before: f64,
     /// `Σ eᵀΩe` after initialisation.
     pub chi2_initialized: f64,
-    /// `Σ eᵀΩe` of the poses found.
+    /// `Σ eᵀΩe` of the optimised poses.
     pub chi2_after: f64,
-    /// Iterations from the chosen start, those of its trial included.
+    /// Number of iterations from the chosen initial poses, including those of its trial.
     pub iterations: u32,
     /// Why the solver stopped.
     pub termination: Termination,
-    /// The start that was used.
+    /// Method of the initial poses that were used.
     pub initialization: Initialization,
-    /// Cost (half of chi2, robust loss applied) after the trial of each start; empty when there was one only.
+    /// Cost (half of chi2, robust loss applied) after the trial of each method; empty if there was only one.
     pub trials: Vec<(Initialization, f64)>,
-    /// Edges by falling chi2, as many as asked for.
+    /// Edges with the largest chi2, in descending order, as many as requested.
     pub worst_edges: Vec<EdgeChi2>,
     /// Number of residuals.
     pub residuals: usize,
     /// Number of unknowns.
     pub unknowns: usize,
-    /// Connected parts of the graph.
+    /// Number of connected parts of the graph.
     pub components: usize,
-    /// Numbers of the vertices that were held because their part had none fixed: without them the graph
-    /// could be moved as a whole (gauge freedom).
+    /// Numbers of the vertices that were held because their part had no fixed one: otherwise the part could
+    /// be moved as a whole (gauge freedom).
     pub anchored: Vec<i64>,
-    /// Edges whose information matrix had negative eigenvalues, which were taken as zero.
+    /// Number of edges whose information matrix had negative eigenvalues, which were set to zero.
     pub repaired_information: usize,
     /// Ratio of the largest to the smallest eigenvalue of the normal equations scaled to a unit diagonal,
-    /// from a few power iterations (good to a factor of two or so); infinite when they are singular: some
-    /// vertices are not determined by the edges.
+    /// from a few power iterations (accurate to a factor of about two). Infinite if they are singular: the
+    /// edges do not constrain some vertices.
     pub condition: Option<f64>,
 }
 
 impl Report {
-    /// The graph and what was found, for people.
+    /// The graph and the result as text for the user.
     pub fn text(&self, graph: &Graph) -> String {
         let dimension = if matches!(graph, Graph::TwoD(_)) { "in 2D" } else { "in 3D" };
         let mut text = format!(
@@ -93,7 +93,7 @@ impl Report {
         text
     }
 
-    /// Residuals minus unknowns: what chi2 should be near when the information matrices are right.
+    /// Residuals minus unknowns: the expected chi2 if the information matrices are correct.
     pub fn redundancy(&self) -> usize {
         self.residuals.saturating_sub(self.unknowns)
     }

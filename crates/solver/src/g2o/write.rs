@@ -1,12 +1,12 @@
-//! Writing g2o files.
+//! Writes g2o files.
 
 use std::io::{self, Write};
 
 use super::graph::{Graph, PoseGraph};
 use super::pose::GraphPose;
 
-/// Writes vertices, fixed vertices and edges. Numbers are written with as many digits as it takes to read the
-/// same numbers back.
+/// Writes vertices, fixed vertices and edges. Numbers are written with as many digits as are needed to read
+/// the same numbers back.
 ///
 /// # Errors
 /// If writing fails.

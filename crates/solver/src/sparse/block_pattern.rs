@@ -1,35 +1,35 @@
-//! Where the blocks of a symmetric sparse matrix are stored.
+//! Storage layout of the blocks of a symmetric sparse matrix.
 
 use super::ProblemError;
 use super::elimination_order::elimination_order;
 
-/// The lower triangle of a symmetric matrix of blocks, in the order of elimination. Blocks below the
-/// diagonal block of a column, and that block itself as a full square, make up one dense panel per block
-/// column: `values[base + c·height + row]` for column `c` of the panel. This is at the same time the
-/// ordinary compressed-column layout of the scalar matrix, so that the factorisation needs no copy.
+/// The lower triangle of a symmetric matrix of blocks, in the order of elimination. The diagonal block of a
+/// column (as a full square) and the blocks below it form one dense panel per block column:
+/// `values[base + c·height + row]` for column `c` of the panel. This is also the ordinary compressed-column layout of the
+/// scalar matrix, so the factorisation needs no copy.
 pub(crate) struct BlockPattern {
-    /// Position in the order of elimination of each block as numbered by the caller.
+    /// Position in the order of elimination of each block, by the caller's numbering.
     pub position: Vec<u32>,
-    /// Size of each block, by position; likewise all below.
+    /// Size of each block, by position. All lists below are by position, too.
     pub dimensions: Vec<u32>,
-    /// First scalar row of each block, and the number of rows at the end.
+    /// First scalar row of each block; at the end the number of rows.
     pub starts: Vec<u32>,
     /// Number of scalar rows in each block column.
     pub heights: Vec<u32>,
-    /// First value of each block column, and the number of values at the end.
+    /// Index of the first value of each block column; at the end the number of values.
     bases: Vec<u32>,
-    /// First entry of each block column in `rows`.
+    /// Index of the first entry of each block column in `rows`.
     row_starts: Vec<u32>,
     /// Block rows below the diagonal, ascending, with the scalar row within the panel.
     rows: Vec<(u32, u32)>,
 }
 
 impl BlockPattern {
-    /// Orders blocks of the given dimensions, of which `pairs` (smaller number first, sorted, unique) are
-    /// coupled.
+    /// Orders blocks of the given dimensions. `pairs` are the coupled blocks (smaller number first, sorted,
+    /// unique).
     ///
     /// # Errors
-    /// More unknowns or values than 32 bits count.
+    /// If there are more unknowns or values than 32 bits can count.
     pub fn new(dimensions: &[u32], pairs: &[(u32, u32)]) -> Result<Self, ProblemError> {
         let order = elimination_order(dimensions.len(), pairs);
         let n = order.len();
@@ -64,22 +64,22 @@ impl BlockPattern {
         Ok(Self { position, dimensions: permuted, starts, heights, bases, row_starts, rows })
     }
 
-    /// How many blocks there are on the diagonal.
+    /// Number of blocks on the diagonal.
     pub fn block_count(&self) -> usize {
         self.dimensions.len()
     }
 
-    /// How many unknowns.
+    /// Number of unknowns.
     pub fn size(&self) -> usize {
         self.starts.last().copied().unwrap_or_default() as usize
     }
 
-    /// How many values are stored.
+    /// Number of stored values.
     pub fn value_count(&self) -> usize {
         self.bases.last().copied().unwrap_or_default() as usize
     }
 
-    /// First value of the block column at a position.
+    /// Index of the first value of the block column at a position.
     pub fn base(&self, column: usize) -> usize {
         self.bases[column] as usize
     }
@@ -100,7 +100,8 @@ impl BlockPattern {
     }
 }
 
-/// Pairs as block columns of the lower triangle in the new order, rows ascending; offsets still zero.
+/// Sorts pairs into block columns of the lower triangle in the new order, rows ascending; offsets are still
+/// zero.
 fn sort_into_columns(n: usize, pairs: &[(u32, u32)], position: &[u32]) -> (Vec<u32>, Vec<(u32, u32)>) {
     let place = |(a, b): &(u32, u32)| {
         let (a, b) = (position[*a as usize], position[*b as usize]);

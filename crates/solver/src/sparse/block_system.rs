@@ -4,11 +4,11 @@ use super::ProblemError;
 use super::block_pattern::BlockPattern;
 use super::cholesky::{Cholesky, zeros};
 
-/// Pivots below this fraction of the diagonal are rounding, see [`BlockSystem::smallest_pivot_ratio`].
+/// Fraction of the diagonal below which a pivot is rounding; see [`BlockSystem::smallest_pivot_ratio`].
 pub(crate) const SINGULAR_PIVOT: f64 = 1e-14;
 
-/// `A x = b` with a symmetric positive definite `A` of blocks, in the order of elimination. The pattern is
-/// analysed once; the values are refilled as often as wanted without allocation.
+/// `A x = b` with a symmetric positive definite matrix `A` of blocks, in the order of elimination. The
+/// pattern is analysed once. The values can be refilled any number of times without allocation.
 pub(crate) struct BlockSystem {
     pub pattern: BlockPattern,
     /// Values in the layout of [`BlockPattern`].
@@ -21,7 +21,7 @@ impl BlockSystem {
     /// Analyses the pattern of blocks of the given dimensions; `pairs` as for [`BlockPattern::new`].
     ///
     /// # Errors
-    /// The normal equations or their factor are too large to be counted, or for memory.
+    /// If the normal equations or their factor are too large for their indices, or for memory.
     pub fn new(dimensions: &[u32], pairs: &[(u32, u32)]) -> Result<Self, ProblemError> {
         let pattern = BlockPattern::new(dimensions, pairs)?;
         Ok(Self {
@@ -59,8 +59,8 @@ impl BlockSystem {
         diagonal
     }
 
-    /// Factorises the matrix with `damping` added to its diagonal; the values stay as they are. False when
-    /// it is not positive definite.
+    /// Factorises the matrix with `damping` added to its diagonal; the values do not change. Returns false if
+    /// the result is not positive definite.
     pub fn factorize(&mut self, damping: &[f64]) -> bool {
         let (values, diagonal) = (&mut self.values, &mut self.diagonal);
         Self::for_each_diagonal(&self.pattern, |i, at| {
@@ -73,15 +73,16 @@ impl BlockSystem {
         is_definite
     }
 
-    /// How well the worst determined unknown is determined, from 0 to 1: the smallest ratio of a squared pivot of the last
-    /// factor to the diagonal entry without damping. It is the share of the information about an unknown that remains
-    /// while those that come earlier in the elimination may move as well. Of a singular matrix rounding leaves about 1e-16.
+    /// How well the least constrained unknown is constrained, from 0 to 1: the smallest ratio of a squared
+    /// pivot of the last factor to the diagonal entry without damping. It is the fraction of the information
+    /// about an unknown that remains if the unknowns eliminated before it are free. For a singular matrix
+    /// rounding leaves about 1e-16.
     pub fn smallest_pivot_ratio(&self) -> f64 {
         let ratio = |(pivot, diagonal): (f64, &f64)| pivot * pivot / diagonal;
         self.factor.pivots().zip(&self.diagonal).map(ratio).fold(f64::INFINITY, f64::min)
     }
 
-    /// Solves with the last factor, in place.
+    /// Solves in place with the last factor.
     pub fn solve(&mut self, x: &mut [f64]) {
         self.factor.solve(x);
     }
@@ -132,7 +133,7 @@ mod tests {
         for (i, value) in system.values.iter_mut().enumerate() {
             *value = ((i * 7919 % count) as f64 / count as f64) - 0.5;
         }
-        // The diagonal blocks must be symmetric; only their lower part is stored for real.
+        // The diagonal blocks must be symmetric; only their lower part is actually stored.
         let pattern = &system.pattern;
         for column in 0..pattern.block_count() {
             let (d, h) = (pattern.dimensions[column] as usize, pattern.heights[column] as usize);

@@ -1,25 +1,27 @@
-//! Cholesky factorisation of a sparse symmetric matrix of blocks, by supernodes.
+//! Supernodal Cholesky factorisation of a sparse symmetric matrix of blocks.
 //!
-//! Left-looking, as Ng and Peyton: Block sparse Cholesky algorithms on advanced uniprocessor computers, SIAM J. Sci. Comput. 14
-//! (1993): each panel takes from all earlier ones that reach into it, then it is factorised as a dense one.
+//! Left-looking, after Ng and Peyton: Block sparse Cholesky algorithms on advanced uniprocessor computers,
+//! SIAM J. Sci. Comput. 14 (1993). Each panel is updated by all earlier panels that have rows in it, then it
+//! is factorised as a dense matrix.
 
 use super::ProblemError;
 use super::block_pattern::BlockPattern;
 use super::panel::{Columns, factorize, subtract_product};
 use super::supernodes::{Supernode, Supernodes};
 
-/// The factor `L` of `A = L Lᵀ`, with room for all that a factorisation needs.
+/// The factor `L` of `A = L Lᵀ`, with the work memory of a factorisation.
 pub(super) struct Cholesky {
     supernodes: Supernodes,
     values: Vec<f64>,
-    /// Where each row of the matrix is in the panel that is being filled.
+    /// Row in the panel being computed, for each row of the matrix.
     place: Vec<u32>,
-    /// What an earlier panel gives.
+    /// Update from an earlier panel.
     product: Vec<f64>,
-    /// The first panel that has still to give to each supernode, and the next one after each.
+    /// Linked lists of the panels that still have to update each supernode: the first panel, and the next one
+    /// after each panel.
     first_giver: Vec<u32>,
     next_giver: Vec<u32>,
-    /// First row of each supernode that has not been given to yet.
+    /// For each supernode the first row whose update has not been applied yet.
     given: Vec<u32>,
 }
 
@@ -29,7 +31,7 @@ impl Cholesky {
     /// Analyses the pattern.
     ///
     /// # Errors
-    /// The factor is too large to be counted, or for memory.
+    /// If the factor is too large for its indices, or for memory.
     pub fn new(pattern: &BlockPattern) -> Result<Self, ProblemError> {
         let supernodes = Supernodes::new(pattern)?;
         let count = supernodes.all.len();
@@ -44,7 +46,7 @@ impl Cholesky {
         })
     }
 
-    /// Factorises the matrix with these values. False when it is not positive definite.
+    /// Factorises the matrix with these values. Returns false if it is not positive definite.
     pub fn factorize(&mut self, pattern: &BlockPattern, values: &[f64]) -> bool {
         self.values.fill(0.0);
         self.first_giver.fill(NONE);
@@ -71,7 +73,7 @@ impl Cholesky {
         true
     }
 
-    /// Puts a block column of the matrix into its panel.
+    /// Copies a block column of the matrix into its panel.
     fn add_column(&mut self, pattern: &BlockPattern, block: usize, values: &[f64]) {
         let first = pattern.starts[block] as usize;
         let dimension = pattern.dimensions[block] as usize;
@@ -95,7 +97,7 @@ impl Cholesky {
         }
     }
 
-    /// Subtracts from a panel what an earlier one gives to it.
+    /// Subtracts the update of an earlier panel from a panel.
     fn give(&mut self, giver: usize, own: &Supernode) {
         let from = self.supernodes.all[giver];
         let begin = self.given[giver] as usize;
@@ -119,7 +121,7 @@ impl Cholesky {
         self.wait_for_next(giver);
     }
 
-    /// Puts a panel into the list of the next supernode that it reaches into.
+    /// Adds a panel to the list of the next supernode that it has to update.
     fn wait_for_next(&mut self, giver: usize) {
         let from = self.supernodes.all[giver];
         if let Some(row) = self.supernodes.rows(&from).get(self.given[giver] as usize) {

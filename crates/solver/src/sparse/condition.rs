@@ -1,16 +1,16 @@
-//! How well the normal equations determine the unknowns.
+//! Condition number of the normal equations.
 
 use super::block_system::SINGULAR_PIVOT;
 use super::problem::{Problem, ProblemError};
 use super::solve::Prepared;
 
-/// Power iterations for each end of the spectrum.
+/// Number of power iterations for each end of the spectrum.
 const ITERATIONS: usize = 12;
 
 impl Problem {
     /// Ratio of the largest to the smallest eigenvalue of `JᵀJ` scaled to a unit diagonal, at the current
-    /// values; infinite when it is singular, none when there are no unknowns. An estimate from below by power
-    /// iteration.
+    /// values. It is infinite if the matrix is singular, and `None` if there are no unknowns. Power iteration
+    /// gives an estimate from below.
     pub(crate) fn condition_prepared(&self, prepared: &mut Prepared) -> Result<Option<f64>, ProblemError> {
         let Prepared { linearization, system } = prepared;
         let n = system.size();
@@ -28,7 +28,7 @@ impl Problem {
         {
             return Ok(Some(f64::INFINITY));
         }
-        // A start with all frequencies and without symmetry.
+        // A start vector with all frequencies and without symmetry.
         let start: Vec<f64> = (0..n).map(|i| (i as f64 * 0.7548776662466927).fract() - 0.5).collect();
         let mut product = vec![0.0; n];
         let largest = dominant(&start, |x| {

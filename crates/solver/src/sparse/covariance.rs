@@ -1,4 +1,4 @@
-//! How well variables are known.
+//! Covariance of variables.
 
 use nalgebra::DMatrix;
 
@@ -6,9 +6,9 @@ use super::block_system::SINGULAR_PIVOT;
 use super::factor_view::CONSTANT;
 use super::problem::{Problem, ProblemError, VariableId};
 
-/// Joint covariance of some variables: the corresponding blocks of `(JᵀJ)⁻¹`, in the tangent space of each
-/// variable's freedoms. Rotations are half-angle vectors: multiply by 2 (variances by 4) for radians.
-/// Meaningful when the residuals are weighted by their standard deviations.
+/// Joint covariance of some variables: the corresponding blocks of `(JᵀJ)⁻¹`, in the tangent space of the
+/// degrees of freedom of each variable. Rotations are half-angle vectors: multiply by 2 (variances by 4) for
+/// radians. Meaningful if the residuals are weighted by their standard deviations.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Covariance {
     starts: Vec<usize>,
@@ -16,8 +16,8 @@ pub struct Covariance {
 }
 
 impl Covariance {
-    /// The block of the `i`-th and the `j`-th variable as asked for; empty for constant variables, none
-    /// beyond the end.
+    /// The block of the `i`-th and the `j`-th requested variable; empty for constant variables, `None` beyond
+    /// the end.
     pub fn block(&self, i: usize, j: usize) -> Option<DMatrix<f64>> {
         let range = |k: usize| Some((*self.starts.get(k)?, *self.starts.get(k + 1)?));
         let ((row, row_end), (column, column_end)) = (range(i)?, range(j)?);
@@ -31,12 +31,12 @@ impl Covariance {
 }
 
 impl Problem {
-    /// Covariance of `variables` at the current values, robust losses included as weights. One triangular
-    /// solve per degree of freedom asked for, besides one factorisation.
+    /// Covariance of `variables` at the current values; robust losses enter as weights. Takes one
+    /// factorisation and one triangular solve per requested degree of freedom.
     ///
     /// # Errors
-    /// The problem is too large, a residual cannot be evaluated at the current values, the factors do not determine all variables, or
-    /// one of `variables` does not exist.
+    /// If the problem is too large, a residual cannot be evaluated at the current values, the factors do not
+    /// constrain all variables, or one of `variables` does not exist.
     pub fn covariance(&self, variables: &[VariableId]) -> Result<Covariance, ProblemError> {
         let mut prepared = self.prepare()?;
         let (linearization, system) = (&mut prepared.linearization, &mut prepared.system);

@@ -5,14 +5,14 @@ use portolan_numeric::Lcg64;
 use super::fill::{factor_rows, postorder};
 use super::minimum_degree::minimum_degree;
 
-/// From so many multiplications of blocks on other orders are tried, too: the best of several is some percent
-/// better, in memory and in every factorisation, and costs less than one of these.
+/// Number of block multiplications from which other orders are tried, too. The best of several orders is some
+/// percent better, in memory and in every factorisation, and the search costs less than one factorisation.
 const WORTH_TRYING: u64 = 2_000_000;
-/// How many others are tried.
+/// Number of other orders that are tried.
 const TRIALS: u64 = 12;
 
-/// An order of elimination, `order[new] = old`. Approximate minimum degree decides ties by the numbers of the
-/// blocks, which means nothing: for large systems the best of several numberings is taken.
+/// An order of elimination, `order[new] = old`. Approximate minimum degree breaks ties by the numbers of the
+/// blocks, which are arbitrary: for large systems the best of several numberings is used.
 pub(super) fn elimination_order(n: usize, pairs: &[(u32, u32)]) -> Vec<u32> {
     let mut best = Order::of(n, pairs, minimum_degree(neighbours(n, pairs, |block| block)));
     if best.work >= WORTH_TRYING {
@@ -32,12 +32,12 @@ pub(super) fn elimination_order(n: usize, pairs: &[(u32, u32)]) -> Vec<u32> {
 
 struct Order {
     order: Vec<u32>,
-    /// Multiplications of blocks that a factorisation takes: the squares of the column heights.
+    /// Number of block multiplications of a factorisation: the sum of the squares of the column heights.
     work: u64,
 }
 
 impl Order {
-    /// This order, with columns of the factor that have the same rows side by side.
+    /// This order in postorder, so that columns of the factor with the same rows are adjacent.
     fn of(n: usize, pairs: &[(u32, u32)], order: Vec<u32>) -> Self {
         let position = inverse(&order);
         let coupled = neighbours(n, pairs, |block| position[block as usize]);
@@ -48,7 +48,7 @@ impl Order {
     }
 }
 
-/// What each of `n` blocks, which get the numbers `number_of`, is coupled with, ascending.
+/// For each of `n` blocks, numbered by `number_of`, the blocks it is coupled with, ascending.
 fn neighbours(n: usize, pairs: &[(u32, u32)], number_of: impl Fn(u32) -> u32) -> Vec<Vec<u32>> {
     let mut lists = vec![Vec::new(); n];
     for (a, b) in pairs {
@@ -68,7 +68,7 @@ fn inverse(order: &[u32]) -> Vec<u32> {
     position
 }
 
-/// A permutation that is the same everywhere (Fisher and Yates, with a linear congruential generator).
+/// A reproducible permutation (Fisher and Yates, with a linear congruential generator).
 fn shuffled(n: usize, seed: u64) -> Vec<u32> {
     let mut order: Vec<u32> = (0..n as u32).collect();
     let mut random = Lcg64::new(seed);

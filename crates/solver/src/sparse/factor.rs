@@ -4,22 +4,22 @@ use std::any::Any;
 
 use super::problem::VariableId;
 
-/// Variables of one factor at most.
+/// Maximum number of variables of one factor.
 pub const MAX_FACTOR_VARIABLES: usize = 8;
 
-/// A residual and its derivatives. Factors of one type are stored side by side: keep them small and free
-/// of allocations.
+/// A residual and its derivatives. Factors of one type are stored contiguously: keep them small and free of
+/// allocations.
 pub trait Factor: Send + Sync + 'static {
     /// The variables it depends on, each once, at most [`MAX_FACTOR_VARIABLES`].
     fn variables(&self) -> &[VariableId];
 
-    /// How many residuals it has; always the same for one factor.
+    /// Number of residuals; constant for a factor.
     fn residual_dimension(&self) -> usize;
 
-    /// Writes the residual for the given numbers, one slice per variable in the layout of its
-    /// [`Manifold`](super::Manifold). When Jacobians are asked for, there is one per variable, cleared and
-    /// stored column by column: `residual_dimension()` rows,
-    /// [`tangent_dimension`](super::Manifold::tangent_dimension) columns. Returns false where the residual
+    /// Computes the residual for the given values, one slice per variable in the layout of its
+    /// [`Manifold`](super::Manifold). If Jacobians are requested, there is one per variable, initialised to
+    /// zero and stored column by column: `residual_dimension()` rows,
+    /// [`tangent_dimension`](super::Manifold::tangent_dimension) columns. Returns false if the residual
     /// cannot be evaluated; the solver then takes a shorter step.
     fn evaluate(
         &self,
@@ -29,7 +29,7 @@ pub trait Factor: Send + Sync + 'static {
     ) -> bool;
 }
 
-/// All factors of one type, seen without the type.
+/// All factors of one type, behind a type-erased interface.
 pub(crate) trait Pool: Any + Send + Sync {
     fn len(&self) -> usize;
     fn factor(&self, index: usize) -> Option<&dyn Factor>;

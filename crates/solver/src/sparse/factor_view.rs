@@ -1,4 +1,4 @@
-//! One factor evaluated: its cost, and its share of the normal equations.
+//! Evaluation of one factor: its cost, and its contribution to the normal equations.
 
 use super::block_system::BlockSystem;
 use super::factor::{Factor, MAX_FACTOR_VARIABLES};
@@ -7,16 +7,16 @@ use super::products;
 use crate::Loss;
 use crate::loss::Correction;
 
-/// Marks variables that do not take part.
+/// Marks variables that are not optimised.
 pub(crate) const CONSTANT: u32 = u32::MAX;
 
-/// Blocks of the normal equations: all pairs of free variables of a factor, the first with itself, then
-/// the second with the first and with itself, and so on.
+/// Number of blocks of the normal equations: all pairs of free variables of a factor, the first with itself,
+/// then the second with the first and with itself, and so on.
 fn pair_count(free: usize) -> usize {
     free * (free + 1) / 2
 }
 
-/// One factor at certain values of its variables.
+/// One factor at given values of its variables.
 pub(super) struct FactorView<'a> {
     pub problem: &'a Problem,
     pub values: &'a [f64],
@@ -42,8 +42,8 @@ impl<'a> FactorView<'a> {
         (parameters, variables.len().min(MAX_FACTOR_VARIABLES))
     }
 
-    /// Numbers needed to evaluate the factor: blocks of the normal equations and gradients first, then
-    /// residual and Jacobians.
+    /// Number of values needed to evaluate the factor: blocks of the normal equations and gradients first,
+    /// then residual and Jacobians.
     pub fn scratch_size(&self) -> usize {
         let rows = self.factor.residual_dimension();
         let (mut blocks, mut gradient, mut tangent) = (0, 0, 0);
@@ -68,7 +68,7 @@ impl<'a> FactorView<'a> {
         cost.is_finite().then_some(cost)
     }
 
-    /// Evaluates the factor and leaves its blocks and gradients at the beginning of `scratch`.
+    /// Evaluates the factor and writes its blocks and gradients to the beginning of `scratch`.
     pub fn normal_blocks(&self, position: &[u32], scratch: &mut [f64]) -> bool {
         let rows = self.factor.residual_dimension();
         let variables = self.factor.variables();
@@ -112,7 +112,7 @@ impl<'a> FactorView<'a> {
         true
     }
 
-    /// Adds what [`FactorView::normal_blocks`] left.
+    /// Adds the result of [`FactorView::normal_blocks`].
     pub fn add_to(
         &self,
         scratch: &[f64],
@@ -151,7 +151,7 @@ impl<'a> FactorView<'a> {
     }
 }
 
-/// The Jacobian by the degrees of freedom of one variable.
+/// The Jacobian with respect to the degrees of freedom of one variable.
 #[derive(Default)]
 struct FreeJacobian<'a> {
     position: u32,
@@ -159,7 +159,7 @@ struct FreeJacobian<'a> {
     jacobian: &'a [f64],
 }
 
-/// Writes `JᵀJ` by blocks, each below the diagonal: its rows belong to the later variable; and `Jᵀr`.
+/// Writes `JᵀJ` by blocks, each below the diagonal, with rows of the later variable; and `Jᵀr`.
 fn write_products(free: &[FreeJacobian<'_>], residual: &[f64], mut blocks: &mut [f64]) {
     let rows = residual.len();
     for (i, own) in free.iter().enumerate() {
@@ -176,8 +176,8 @@ fn write_products(free: &[FreeJacobian<'_>], residual: &[f64], mut blocks: &mut 
 }
 
 impl Problem {
-    /// The cost of each factor at the current values, in the order of evaluation; `None` where one cannot be
-    /// evaluated.
+    /// The cost of each factor at the current values, in the order of evaluation; `None` for a factor that
+    /// cannot be evaluated.
     pub fn factor_costs(&self) -> impl Iterator<Item = (FactorId, Option<f64>)> {
         let mut scratch = Vec::new();
         self.factors().map(move |(id, factor, loss)| {

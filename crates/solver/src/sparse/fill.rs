@@ -1,7 +1,8 @@
-//! Which blocks of the factor of a sparse symmetric matrix are not zero.
+//! Fill-in: the non-zero blocks of the factor of a sparse symmetric matrix.
 
-/// For each column the rows below the diagonal that are not zero in the factor, ascending; `lower` gives those of the matrix.
-/// What is eliminated couples all that it is coupled with: a column has the rows of those whose first row it is.
+/// For each column of the factor the non-zero rows below the diagonal, ascending; `lower` gives those of the
+/// matrix. Eliminating a column couples all its rows with each other, so a column also has the rows of every
+/// column whose first row it is (its children in the elimination tree).
 pub(super) fn factor_rows<'a>(n: usize, lower: impl Fn(usize) -> &'a [u32]) -> Vec<Vec<u32>> {
     let mut rows: Vec<Vec<u32>> = Vec::with_capacity(n);
     let mut children: Vec<Vec<u32>> = vec![Vec::new(); n];
@@ -29,8 +30,8 @@ pub(super) fn factor_rows<'a>(n: usize, lower: impl Fn(usize) -> &'a [u32]) -> V
     rows
 }
 
-/// An order in which each column stands right behind the columns that it is the first row of, of these the one with most rows
-/// last, `order[new] = old`. The factor stays as sparse as it is.
+/// Postorder of the elimination tree, `order[new] = old`: each column comes directly after the columns whose
+/// first row it is, and of these the one with most rows comes last. The factor stays as sparse as before.
 pub(super) fn postorder(rows: &[Vec<u32>]) -> Vec<u32> {
     let n = rows.len();
     let mut children: Vec<Vec<u32>> = vec![Vec::new(); n];
@@ -42,7 +43,7 @@ pub(super) fn postorder(rows: &[Vec<u32>]) -> Vec<u32> {
         }
     }
     let mut reversed = Vec::with_capacity(n);
-    // Backwards: a column, then all below the last of its children, then all below the others.
+    // In reverse: a column, then everything below its last child, then everything below the others.
     while let Some(column) = waiting.pop() {
         reversed.push(column);
         let mut of_column = std::mem::take(&mut children[column as usize]);

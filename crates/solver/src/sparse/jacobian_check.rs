@@ -1,14 +1,13 @@
-//! A check of analytic Jacobians, for tests of factors.
+//! Checks analytic Jacobians numerically, for tests of factors.
 
 use super::{Factor, Manifold};
 
 /// Step of the central differences.
 const STEP: f64 = 1e-6;
 
-/// Largest difference between the Jacobians a factor gives and central differences of its residual, over
-/// all entries, each divided by one plus the size of the largest entry. `variables` are manifold and numbers
-/// of each variable; restrictions of the manifolds do not matter. Infinite when the factor cannot be
-/// evaluated.
+/// Largest difference between the Jacobians of a factor and central differences of its residual, over all
+/// entries, each divided by one plus the magnitude of the largest entry. `variables` are manifold and numbers
+/// of each variable; restrictions of the manifolds are ignored. Infinite if the factor cannot be evaluated.
 pub fn jacobian_error(factor: &dyn Factor, variables: &[(Manifold, Vec<f64>)]) -> f64 {
     let rows = factor.residual_dimension();
     let mut numbers: Vec<Vec<f64>> = variables.iter().map(|(_, x)| x.clone()).collect();

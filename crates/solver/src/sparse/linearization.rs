@@ -1,4 +1,5 @@
-//! Costs, gradients and normal equations of a problem, in a fixed order whatever the number of threads.
+//! Computes costs, gradients and normal equations of a problem, in an order that does not depend on the
+//! number of threads.
 
 use rayon::prelude::*;
 
@@ -6,27 +7,27 @@ use super::block_system::BlockSystem;
 use super::factor_view::{CONSTANT, FactorView};
 use super::problem::{FactorId, Problem, ProblemError};
 
-/// Factors evaluated by one thread at a time; part of the definition of the sums, so not to be changed by
-/// the number of threads.
+/// Number of factors that one thread evaluates at a time. It determines the order of the sums, so it must not
+/// depend on the number of threads.
 const CHUNK: usize = 32;
-/// Chunks evaluated before their blocks are added up.
+/// Number of chunks that are evaluated before their blocks are summed.
 const WAVE: usize = 32;
-/// Below so many factors threads cost more than they give.
+/// Number of factors from which several threads are faster than one.
 const PARALLEL_FROM: usize = 2048;
 
 /// A factor with at least one free variable.
 struct ActiveFactor {
     id: FactorId,
-    /// First of its block offsets in [`Linearization::offsets`].
+    /// Index of its first block offset in [`Linearization::offsets`].
     first_offset: u32,
 }
 
-/// The fixed part of all evaluations of one problem.
+/// The part of a problem that is the same in all evaluations.
 pub(crate) struct Linearization {
     /// Position of each variable in the order of elimination, or [`CONSTANT`].
     pub position: Vec<u32>,
     active: Vec<ActiveFactor>,
-    /// Where each block of each factor goes in the values of the system.
+    /// Offset of each block of each factor in the values of the system.
     offsets: Vec<u32>,
     /// Cost of the factors all of whose variables are constant.
     pub constant_cost: f64,
@@ -36,12 +37,12 @@ pub(crate) struct Linearization {
 }
 
 impl Linearization {
-    /// Finds the structure of the normal equations and an empty system for them.
+    /// Analyses the structure of the normal equations and creates an empty system for them.
     ///
     /// # Errors
-    /// The problem is too large to be counted, or for memory.
+    /// If the problem is too large for its indices, or for memory.
     pub fn new(problem: &Problem) -> Result<(Self, BlockSystem), ProblemError> {
-        // Variables saturate at this size when they are added.
+        // The indices of variables saturate at this size when variables are added.
         if u32::try_from(problem.values.len()).is_err() {
             return Err(ProblemError::TooLarge("values"));
         }
@@ -105,7 +106,7 @@ impl Linearization {
         Ok(())
     }
 
-    /// The cost at `values`; `None` where some factor cannot be evaluated.
+    /// The cost at `values`; `None` if some factor cannot be evaluated.
     pub fn cost(&mut self, problem: &Problem, values: &[f64]) -> Option<f64> {
         let chunk_cost = |buffer: &mut [f64], chunk: &[ActiveFactor]| -> Option<f64> {
             chunk.iter().map(|active| FactorView::new(problem, values, active.id)?.cost(buffer)).sum()
@@ -128,7 +129,7 @@ impl Linearization {
         Some(cost)
     }
 
-    /// Fills the normal equations and the gradient at `values`; false where some factor cannot be evaluated.
+    /// Computes the normal equations and the gradient at `values`; false if some factor cannot be evaluated.
     pub fn linearize(
         &mut self,
         problem: &Problem,
@@ -162,7 +163,7 @@ impl Linearization {
             if !good {
                 return false;
             }
-            // One after the other in the order of factors: the sums are the same for any number of threads.
+            // Sequentially in the order of the factors: the sums are the same for any number of threads.
             for (mut rest, chunk) in self.buffer.chunks(self.chunk_size).zip(wave.chunks(CHUNK)) {
                 for active in chunk {
                     let Some(view) = FactorView::new(problem, values, active.id) else { return false };

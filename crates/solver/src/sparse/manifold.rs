@@ -1,11 +1,11 @@
-//! Spaces in which variables live, and the directions in which they may move.
+//! Manifolds of the variables, and their degrees of freedom.
 
 use nalgebra as na;
 
-/// How a translation may move.
+/// Degrees of freedom of a translation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TranslationFreedom {
-    /// Everywhere.
+    /// All.
     #[default]
     Free,
     /// In its plane z = const.
@@ -14,32 +14,31 @@ pub enum TranslationFreedom {
     Constant,
 }
 
-/// How a rotation may move.
+/// Degrees of freedom of a rotation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RotationFreedom {
-    /// Everywhere: `q ⊞ δ = exp(δ) ⊗ q` with `exp(δ) = (cos‖δ‖, sin‖δ‖/‖δ‖·δ)`, so that δ is half a rotation
-    /// vector.
+    /// All: `q ⊞ δ = exp(δ) ⊗ q` with `exp(δ) = (cos‖δ‖, sin‖δ‖/‖δ‖·δ)`, so that δ is half a rotation vector.
     #[default]
     Free,
     /// About the z axis of the map: `q ⊞ δ = (√(1−δ²), 0, 0, δ) ⊗ q`, δ at most ½ in one step.
     YawOnly,
-    /// About the horizontal axes of the body: `q ⊞ (a, b) = q ⊗ exp(a, b, 0)`. For what may align itself to
-    /// gravity while its heading stays.
+    /// About the horizontal axes of the body: `q ⊞ (a, b) = q ⊗ exp(a, b, 0)`. For a pose that is aligned to
+    /// gravity while its heading is kept.
     ConstantYaw,
     /// Not at all.
     Constant,
 }
 
-/// Layout and freedom of one variable.
+/// Storage layout and degrees of freedom of one variable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Manifold {
-    /// So many numbers, added.
+    /// This number of components, updated by addition.
     Euclidean(u32),
-    /// One number, added, kept at zero or above.
+    /// One number, updated by addition, kept at zero or above.
     NonNegative,
     /// A position `(x, y, z)`.
     Translation(TranslationFreedom),
-    /// A 2D pose `(x, y, θ)`, added; θ is not wrapped.
+    /// A 2D pose `(x, y, θ)`, updated by addition; θ is not wrapped.
     Se2,
     /// A unit quaternion `(w, x, y, z)`.
     Rotation(RotationFreedom),
@@ -48,10 +47,10 @@ pub enum Manifold {
 }
 
 impl Manifold {
-    /// A pose that may move everywhere.
+    /// A pose with all degrees of freedom.
     pub const SE3: Self = Self::Se3(TranslationFreedom::Free, RotationFreedom::Free);
 
-    /// How many numbers the variable is stored in.
+    /// Number of stored components of the variable.
     pub fn ambient_dimension(&self) -> usize {
         match self {
             Self::Euclidean(n) => *n as usize,
@@ -62,9 +61,9 @@ impl Manifold {
         }
     }
 
-    /// Columns of the Jacobians that factors give: the unrestricted tangent space. Rotations have three,
-    /// half-angle components of a rotation multiplied from the left (see [`RotationFreedom::Free`]);
-    /// poses have the translation first.
+    /// Number of columns of the Jacobians of factors: the unrestricted tangent space. A rotation has three,
+    /// the half-angle components of a rotation multiplied from the left (see [`RotationFreedom::Free`]). A
+    /// pose has the translation first.
     pub fn tangent_dimension(&self) -> usize {
         match self {
             Self::Euclidean(n) => *n as usize,
@@ -107,7 +106,7 @@ impl Manifold {
         }
     }
 
-    /// Turns a Jacobian (column by column, `rows` long) for the unrestricted tangent space into one for the
+    /// Converts a Jacobian (column by column, `rows` long) for the unrestricted tangent space to one for the
     /// degrees of freedom, in place; returns the part used.
     pub(crate) fn restrict<'a>(&self, x: &[f64], rows: usize, jacobian: &'a mut [f64]) -> &'a mut [f64] {
         let columns = self.free_dimension();
@@ -139,8 +138,8 @@ fn add(out: &mut [f64], delta: &[f64]) {
     out.iter_mut().zip(delta).for_each(|(x, d)| *x += d);
 }
 
-/// Rewrites a Jacobian row by row; each row is read whole before it is written. The restricted row is
-/// shorter and written to the leading columns.
+/// Rewrites a Jacobian row by row; each row is read completely before it is written. The restricted row is
+/// shorter and is written to the leading columns.
 fn restrict_rows(rows: usize, jacobian: &mut [f64], restrict: impl Fn(&[f64], &mut [f64])) {
     let columns = jacobian.len() / rows.max(1);
     for r in 0..rows {
@@ -191,13 +190,13 @@ impl RotationFreedom {
             (Self::ConstantYaw, &[a, b]) => old * exp_half_angle(a, b, 0.0),
             _ => return,
         };
-        // Rounding would pile up over thousands of steps.
+        // Normalise: rounding would accumulate over thousands of steps.
         let new = new / new.norm();
         q.copy_from_slice(&[new.w, new.i, new.j, new.k]);
     }
 
-    /// The rotation's own axes in the outer frame, where they are needed: moving by `(a, b, 0)` from the
-    /// right is moving by `R (a, b, 0)` from the left.
+    /// The rotation's own axes in the outer frame, where they are needed: an update by `(a, b, 0)` from the
+    /// right is one by `R (a, b, 0)` from the left.
     fn axes(self, q: &[f64]) -> na::Matrix3<f64> {
         if self != Self::ConstantYaw {
             return na::Matrix3::identity();
@@ -242,7 +241,7 @@ mod tests {
         for translation in [T::Free, T::ConstantZ, T::Constant] {
             for rotation in [R::Free, R::YawOnly, R::ConstantYaw, R::Constant] {
                 let manifold = Manifold::Se3(translation, rotation);
-                // The identity as Jacobian: what comes out are the tangents of the freedoms.
+                // With the identity as Jacobian, the result is the tangents of the degrees of freedom.
                 let mut jacobian: Vec<f64> = na::Matrix6::<f64>::identity().as_slice().to_vec();
                 let free = manifold.free_dimension();
                 let restricted = manifold.restrict(&x, 6, &mut jacobian).to_vec();

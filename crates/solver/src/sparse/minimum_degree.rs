@@ -1,20 +1,24 @@
-//! Approximate minimum degree: an order of elimination by which the factor of a sparse symmetric matrix stays sparse.
+//! Approximate minimum degree ordering: an order of elimination that keeps the factor of a sparse symmetric
+//! matrix sparse.
 //!
-//! Amestoy, Davis, Duff: An approximate minimum degree ordering algorithm, SIAM J. Matrix Anal. Appl. 17 (1996). The graph that
-//! elimination leaves is kept as a quotient graph: an eliminated variable becomes an *element*, which stands for all pairs of its
-//! neighbours; degrees are bounded from above by the sizes of elements (their equation 4); variables with the same neighbours
-//! are one from then on, and elements within another one are absorbed.
+//! Amestoy, Davis, Duff: An approximate minimum degree ordering algorithm, SIAM J. Matrix Anal. Appl. 17
+//! (1996). The graph during elimination is stored as a quotient graph: an eliminated variable becomes an
+//! *element*, which represents all pairs of its neighbours. Degrees are bounded from above by the sizes of
+//! elements (their equation 4). Variables with the same neighbours are merged, and elements contained in
+//! another one are absorbed.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// Variables with more neighbours than this multiple of the square root of their number come last: they are coupled with nearly
-/// everything in the end, and looking through them for each pivot takes long.
+/// Variables with more neighbours than this multiple of the square root of the number of variables are
+/// eliminated last: they become coupled with nearly everything anyway, and scanning them for each pivot is
+/// slow.
 const DENSE: f64 = 10.0;
-/// Less than so many neighbours are never many.
+/// Minimum number of neighbours of a dense variable.
 const FEW: usize = 16;
 
-/// An order of elimination, `order[new] = old`, of variables with these neighbours: each list ascending and without its owner.
+/// An order of elimination, `order[new] = old`, of variables with these neighbours. Each list is ascending
+/// and does not contain its owner.
 pub(super) fn minimum_degree(neighbours: Vec<Vec<u32>>) -> Vec<u32> {
     let n = neighbours.len();
     let many = FEW.max((DENSE * (n as f64).sqrt()) as usize);
@@ -32,29 +36,29 @@ enum Kind {
     Variable,
     /// Eliminated; its members are coupled with each other.
     Element,
-    /// One with another variable, within another element, or left out.
+    /// Merged into another variable, absorbed by another element, or left out.
     Gone,
 }
 
 struct QuotientGraph {
     kind: Vec<Kind>,
-    /// Neighbours of a variable that no element stands for.
+    /// Neighbours of a variable that are not represented by an element.
     variables: Vec<Vec<u32>>,
-    /// Elements that a variable is a member of, in the order in which they came to be.
+    /// Elements of which a variable is a member, in the order of their creation.
     elements: Vec<Vec<u32>>,
     /// Variables of an element.
     members: Vec<Vec<u32>>,
-    /// How many variables a variable stands for, or the members of an element.
+    /// Number of original variables that a variable represents, or the total over the members of an element.
     weight: Vec<u32>,
     degree: Vec<u32>,
-    /// What is eliminated together with a variable, right behind it.
+    /// Variables that are eliminated together with a variable, directly after it.
     followers: Vec<Vec<u32>>,
     queue: BinaryHeap<Reverse<(u32, u32)>>,
-    /// The last pivot whose neighbours a variable was among.
+    /// The last pivot that had this variable as a neighbour.
     seen_by: Vec<u32>,
-    /// Of an element: the last pivot for which `outside` counts.
+    /// The last pivot for which `outside` of this element was computed.
     counted_for: Vec<u32>,
-    /// Weight of the members of an element that are no neighbours of the pivot.
+    /// Weight of the members of an element that are not neighbours of the pivot.
     outside: Vec<u32>,
     remaining: u32,
 }
@@ -113,7 +117,7 @@ impl QuotientGraph {
         order
     }
 
-    /// Turns the pivot into an element; its neighbours.
+    /// Turns the pivot into an element and returns its neighbours.
     fn make_element(&mut self, pivot: u32) -> Vec<u32> {
         self.kind[pivot as usize] = Kind::Element;
         self.seen_by[pivot as usize] = pivot;
@@ -143,7 +147,7 @@ impl QuotientGraph {
         neighbours
     }
 
-    /// For each element of these variables: the weight of what it has beyond them.
+    /// Computes for each element of these variables the weight of its members outside them.
     fn count_outside(&mut self, neighbours: &[u32], pivot: u32) {
         for i in neighbours {
             for element in &self.elements[*i as usize] {
@@ -157,8 +161,8 @@ impl QuotientGraph {
         }
     }
 
-    /// What a neighbour of the pivot is coupled with now, and its degree; a hash of it, unless nothing else is left and it can
-    /// be eliminated along with the pivot.
+    /// Updates the couplings and the degree of a neighbour of the pivot and returns a hash of the couplings.
+    /// If only the pivot is left, the neighbour is eliminated along with it and the result is `None`.
     fn update(&mut self, i: u32, pivot: u32, coupled: u32) -> Option<u64> {
         let own_weight = self.weight[i as usize];
         let mut degree = coupled - own_weight;
@@ -167,7 +171,7 @@ impl QuotientGraph {
         elements.retain(|element| {
             let e = *element as usize;
             if self.kind[e] == Kind::Element && self.outside[e] == 0 {
-                // All that it couples the pivot couples as well.
+                // The pivot couples everything that this element couples: absorb it.
                 self.kind[e] = Kind::Gone;
                 self.members[e] = Vec::new();
             }
@@ -203,7 +207,7 @@ impl QuotientGraph {
         Some(hash)
     }
 
-    /// Makes variables one that are coupled with the same ones.
+    /// Merges variables that have the same couplings.
     fn merge_alike(&mut self, hashes: &mut [(u64, u32)]) {
         hashes.sort_unstable();
         for alike in hashes.chunk_by(|a, b| a.0 == b.0) {
@@ -229,7 +233,7 @@ impl QuotientGraph {
         }
     }
 
-    /// The element keeps those of its members that are left; they wait for their turn by their new degrees.
+    /// Stores the remaining members of the element and queues them with their new degrees.
     fn close(&mut self, pivot: u32, neighbours: Vec<u32>) {
         let mut members = neighbours;
         members.retain(|i| self.is_variable(*i));
@@ -237,7 +241,7 @@ impl QuotientGraph {
         self.members[pivot as usize] = members;
     }
 
-    /// A pivot with all that is eliminated along with it.
+    /// Appends a pivot with everything that is eliminated along with it.
     fn append(&mut self, order: &mut Vec<u32>, pivot: u32) {
         let mut waiting = vec![pivot];
         while let Some(i) = waiting.pop() {
@@ -276,7 +280,7 @@ mod tests {
         let order = minimum_degree(neighbours(n, &pairs));
         assert!(is_permutation(&order));
         assert_eq!(order.last(), Some(&(n - 1)));
-        // The same where it is no more than the others of a small star.
+        // The centre of a small star, whose degree falls to that of the others.
         let star: Vec<_> = (1..8).map(|i| (0, i)).collect();
         let order = minimum_degree(neighbours(8, &star));
         assert!(is_permutation(&order));

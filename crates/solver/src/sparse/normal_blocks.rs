@@ -1,16 +1,16 @@
-//! Normal equations of 6×6 blocks that a caller sums up itself, row by row.
+//! Normal equations of 6×6 blocks that the caller accumulates row by row.
 
 use std::collections::BTreeMap;
 
 use super::block_system::BlockSystem;
 use super::problem::ProblemError;
 
-/// Side of a block.
+/// Size of a block.
 const D: usize = 6;
 
-/// Symmetric normal equations `H x = b` over unknowns of six numbers each (increments of poses), summed up from
-/// weighted rows and solved by sparse Cholesky factorisation. For sums over very many residuals of which a
-/// [`crate::Problem`] would keep each.
+/// Symmetric normal equations `H x = b` over unknowns of six numbers each (increments of poses). They are
+/// accumulated from weighted rows and solved by sparse Cholesky factorisation. Meant for sums over very many
+/// residuals, each of which a [`crate::Problem`] would store.
 #[derive(Clone, Debug)]
 pub struct NormalBlocks {
     /// Blocks on and below the diagonal, (row, column), row-major.
@@ -25,8 +25,8 @@ impl NormalBlocks {
         Self { blocks: diagonal.collect(), right: vec![0.0; D * count] }
     }
 
-    /// Adds `weight · (Σ J_i x_i + residual)²`: `row` holds unknowns and their parts of the Jacobian. An
-    /// unknown may occur several times; its parts add up.
+    /// Adds `weight · (Σ J_i x_i + residual)²`: `row` contains the unknowns and their blocks of the Jacobian.
+    /// An unknown may occur several times; its blocks are summed.
     ///
     /// # Errors
     /// Fails if an unknown does not exist.
@@ -70,7 +70,7 @@ impl NormalBlocks {
         }
     }
 
-    /// Adds `weight` to the diagonal of an unknown: holds it where it is.
+    /// Adds `weight` to the diagonal of an unknown, to keep it at its value.
     pub fn hold(&mut self, unknown: usize, weight: f64) {
         if let Some(block) = self.blocks.get_mut(&(unknown as u32, unknown as u32)) {
             for k in 0..D {
@@ -79,8 +79,8 @@ impl NormalBlocks {
         }
     }
 
-    /// Solves; six numbers for each unknown. None if the matrix is not positive definite: some direction is not
-    /// determined by any row.
+    /// Solves the equations: six numbers for each unknown. `None` if the matrix is not positive definite,
+    /// because some direction is not constrained by any row.
     ///
     /// # Errors
     /// Fails if the problem is too large for memory.
@@ -97,7 +97,7 @@ impl NormalBlocks {
             let height = system.pattern.heights[high as usize] as usize;
             for r in 0..D {
                 for c in 0..D {
-                    // The order of elimination may exchange the roles of both.
+                    // In the order of elimination the row and the column may be swapped.
                     let value = if a >= b { block[D * r + c] } else { block[D * c + r] };
                     system.values[offset as usize + c * height + r] = value;
                 }

@@ -1,23 +1,23 @@
-//! Dense columns side by side: what a Cholesky factorisation does with them.
+//! Dense operations on adjacent columns for the Cholesky factorisation.
 //!
-//! All sums are taken in one order, without fused multiplications, so that they are the same on every processor.
+//! All sums have a fixed order, without fused multiply-add, so that they are the same on every processor.
 
 use wide::f64x4;
 
-/// Rows and columns of a tile of a product that is kept in registers.
+/// Number of rows and columns of a tile of a product that is kept in registers.
 const TILE: usize = 4;
-/// Columns that are factorised before those behind them are changed.
+/// Number of columns that are factorised before the columns after them are updated.
 const STRIP: usize = 16;
 
-/// Numbers in columns, `stride` apart; the first row is where the slice begins.
+/// Values in columns, `stride` apart; the slice begins at the first row.
 #[derive(Clone, Copy)]
 pub(super) struct Columns<'a> {
     pub values: &'a [f64],
     pub stride: usize,
 }
 
-/// `target -= a bᵀ` for `rows` rows of `a` and `columns` rows of `b`, which both have `inner` columns; above the diagonal the
-/// target may be anything afterwards.
+/// `target -= a bᵀ` for `rows` rows of `a` and `columns` rows of `b`, which both have `inner` columns. Above
+/// the diagonal the result is undefined.
 pub(super) fn subtract_product(
     target: &mut [f64],
     stride: usize,
@@ -26,7 +26,7 @@ pub(super) fn subtract_product(
 ) {
     for column in (0..columns).step_by(TILE) {
         let b = Columns { values: b.values.get(column..).unwrap_or_default(), ..b };
-        // Tiles above the diagonal are left out.
+        // Tiles above the diagonal are skipped.
         for row in (column..rows).step_by(TILE) {
             let a = Columns { values: &a.values[row..], ..a };
             let target = &mut target[column * stride + row..];
@@ -57,7 +57,8 @@ fn subtract_tile<const COLUMNS: usize>(
             return;
         };
         let left = f64x4::from(*left);
-        // By index: iterators are calls here where nothing is inlined across units of a crate.
+        // Indices instead of iterators, because these become calls where nothing is inlined across codegen
+        // units of a crate.
         for column in 0..COLUMNS {
             sums[column] += left * f64x4::splat(right[column]);
         }
@@ -69,7 +70,7 @@ fn subtract_tile<const COLUMNS: usize>(
     }
 }
 
-/// The same for the last rows, of which there are fewer.
+/// The same for the last rows, which do not fill a tile.
 fn subtract_corner(
     target: &mut [f64],
     stride: usize,
@@ -85,8 +86,8 @@ fn subtract_corner(
     }
 }
 
-/// Cholesky factorisation of the first `width` rows of a panel of as many columns, and what follows from it for the rows below.
-/// False when it is not positive definite.
+/// Cholesky factorisation of the first `width` rows of a panel with as many columns, and the resulting rows
+/// below. Returns false if the matrix is not positive definite.
 pub(super) fn factorize(panel: &mut [f64], height: usize, width: usize) -> bool {
     for first in (0..width).step_by(STRIP) {
         let end = width.min(first + STRIP);
@@ -102,7 +103,7 @@ pub(super) fn factorize(panel: &mut [f64], height: usize, width: usize) -> bool 
     true
 }
 
-/// The same for a few columns, of which the first one has its diagonal in row `first`.
+/// The same for a strip of columns; the diagonal of the first one is in row `first`.
 fn factorize_strip(strip: &mut [f64], height: usize, first: usize) -> bool {
     let width = strip.len() / height;
     for column in 0..width {
@@ -116,7 +117,7 @@ fn factorize_strip(strip: &mut [f64], height: usize, first: usize) -> bool {
             }
         }
         let pivot = own[0];
-        // Not a number is no pivot either.
+        // NaN is not a valid pivot either.
         if !(pivot > 0.0 && pivot.is_finite()) {
             return false;
         }

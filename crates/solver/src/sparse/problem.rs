@@ -1,4 +1,4 @@
-//! A least-squares problem of many variables, each factor of which sees only a few.
+//! A least-squares problem with many variables, in which each factor depends on only a few.
 
 use nalgebra as na;
 use portolan_geometry::{Quaternion, Rigid2, Rigid3, Vector3};
@@ -18,29 +18,29 @@ pub struct FactorId {
     pub(crate) index: u32,
 }
 
-/// What is wrong with a problem.
+/// An invalid problem.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ProblemError {
-    /// A factor names a variable that the problem does not have.
+    /// A factor refers to a variable that the problem does not have.
     #[error("the factor depends on variable {variable}, but the problem has only {count}")]
     UnknownVariable {
-        /// The variable named.
+        /// Index of the variable.
         variable: u32,
-        /// How many there are.
+        /// Number of variables.
         count: usize,
     },
-    /// A factor names one variable twice.
+    /// A factor refers to one variable twice.
     #[error("the factor depends twice on variable {0}; give each variable once")]
     RepeatedVariable(u32),
-    /// A factor has none or too many variables.
+    /// A factor has no or too many variables.
     #[error("the factor depends on {0} variables; 1 to {MAX_FACTOR_VARIABLES} are possible")]
     VariableCount(usize),
-    /// The numbers of a variable do not fit its manifold.
+    /// The number of values of a variable does not match its manifold.
     #[error("the variable needs {expected} numbers, {given} were given")]
     AmbientDimension {
-        /// As its manifold has it.
+        /// Number that the manifold needs.
         expected: usize,
-        /// As given.
+        /// Number that was given.
         given: usize,
     },
     /// A loss with a scale that is not positive.
@@ -52,7 +52,7 @@ pub enum ProblemError {
     /// The factorisation does not fit into memory.
     #[error("not enough memory for the factorisation of the normal equations")]
     OutOfMemory,
-    /// Normal equations that do not determine all variables.
+    /// Normal equations that do not constrain all variables.
     #[error("the factors do not determine all variables: hold one variable constant in each connected part")]
     Singular,
     /// Some residual is not finite at the current values.
@@ -83,7 +83,7 @@ pub(crate) struct FactorGroup {
     pub losses: Vec<Loss>,
 }
 
-/// Variables and factors. Add them, [`solve`](Problem::solve), read the variables back.
+/// Variables and factors. Add them, call [`solve`](Problem::solve), read the variables back.
 #[derive(Default)]
 pub struct Problem {
     pub(crate) variables: Vec<Variable>,
@@ -98,13 +98,13 @@ impl Problem {
         Self::default()
     }
 
-    /// Makes room for so many more variables of at most `ambient_dimension` numbers each.
+    /// Reserves memory for this many more variables of at most `ambient_dimension` numbers each.
     pub fn reserve_variables(&mut self, count: usize, ambient_dimension: usize) {
         self.variables.reserve(count);
         self.values.reserve(count.saturating_mul(ambient_dimension));
     }
 
-    /// Gives back the memory that was held for more variables and factors.
+    /// Releases the memory that was reserved for more variables and factors.
     pub fn shrink_to_fit(&mut self) {
         self.variables.shrink_to_fit();
         self.values.shrink_to_fit();
@@ -114,11 +114,11 @@ impl Problem {
         }
     }
 
-    /// Adds a variable with its initial numbers, in the layout of the manifold. Quaternions are taken as they
-    /// are; they should be normalised.
+    /// Adds a variable with its initial values, in the layout of the manifold. Quaternions are not
+    /// normalised; they should be.
     ///
     /// # Errors
-    /// The manifold needs another number of values, or the problem would have 2³² numbers or more.
+    /// If the manifold needs another number of values, or the problem would have 2³² numbers or more.
     pub fn add_variable(&mut self, manifold: Manifold, values: &[f64]) -> Result<VariableId, ProblemError> {
         let expected = manifold.ambient_dimension();
         if expected != values.len() {
@@ -130,7 +130,8 @@ impl Problem {
         Ok(self.push(manifold, values))
     }
 
-    /// Saturates where [`Problem::add_variable`] refuses: such a problem is refused when solved.
+    /// Saturates where [`Problem::add_variable`] returns an error: such a problem is refused when it is
+    /// solved.
     fn push(&mut self, manifold: Manifold, values: &[f64]) -> VariableId {
         let id = VariableId(u32::try_from(self.variables.len()).unwrap_or(u32::MAX));
         let offset = u32::try_from(self.values.len()).unwrap_or(u32::MAX);
@@ -144,12 +145,12 @@ impl Problem {
         self.push(Manifold::Se2, &[pose.translation.x, pose.translation.y, pose.angle])
     }
 
-    /// Adds a pose that may move everywhere.
+    /// Adds a pose with all degrees of freedom.
     pub fn add_se3(&mut self, pose: &Rigid3) -> VariableId {
         self.add_se3_with(pose, TranslationFreedom::Free, RotationFreedom::Free)
     }
 
-    /// Adds a pose with restricted freedom.
+    /// Adds a pose with restricted degrees of freedom.
     pub fn add_se3_with(
         &mut self,
         pose: &Rigid3,
@@ -179,12 +180,12 @@ impl Problem {
         self.push(Manifold::NonNegative, &[value.max(0.0)])
     }
 
-    /// Holds a variable at its value.
+    /// Keeps a variable constant.
     pub fn set_constant(&mut self, id: VariableId) {
         self.hold(id, true);
     }
 
-    /// Lets a variable move again.
+    /// Makes a variable free again.
     pub fn set_free(&mut self, id: VariableId) {
         self.hold(id, false);
     }
@@ -198,8 +199,8 @@ impl Problem {
     /// Adds a factor with its loss.
     ///
     /// # Errors
-    /// The factor names no variables, too many, one twice or one that does not exist; the loss is not valid
-    /// ([`Loss::is_valid`]); or there are 2³² such factors already.
+    /// If the factor has no variables, too many, one twice or one that does not exist; if the loss is not
+    /// valid ([`Loss::is_valid`]); or if there are 2³² such factors already.
     pub fn add_factor<F: Factor>(&mut self, factor: F, loss: Loss) -> Result<FactorId, ProblemError> {
         self.check(factor.variables())?;
         if !loss.is_valid() {
@@ -234,7 +235,8 @@ impl Problem {
         Ok(())
     }
 
-    /// The group of factors of type `F`, made when there is none. Factors mostly come in runs of one type.
+    /// The group of factors of type `F`; it is created if there is none. Factors are mostly added in runs of
+    /// one type.
     fn group_of<F: Factor>(&mut self) -> usize {
         let last = self.last_group;
         let holds = |group: &mut FactorGroup| group.pool.as_any_mut().is::<TypedPool<F>>();
@@ -257,7 +259,7 @@ impl Problem {
     /// Replaces the numbers of a variable.
     ///
     /// # Errors
-    /// There is no such variable, or it has another number of values.
+    /// If there is no such variable, or it has another number of values.
     pub fn set_values(&mut self, id: VariableId, values: &[f64]) -> Result<(), ProblemError> {
         let count = self.variables.len();
         let variable = self
@@ -272,7 +274,7 @@ impl Problem {
         Ok(())
     }
 
-    /// A 2D pose; identity if the variable is none.
+    /// A 2D pose; the identity if the variable is not one.
     pub fn se2(&self, id: VariableId) -> Rigid2 {
         match self.values(id) {
             &[x, y, angle] => Rigid2::new(x, y, angle),
@@ -280,7 +282,7 @@ impl Problem {
         }
     }
 
-    /// A pose; identity if the variable is none.
+    /// A pose; the identity if the variable is not one.
     pub fn se3(&self, id: VariableId) -> Rigid3 {
         match self.values(id) {
             &[x, y, z, qw, qx, qy, qz] => Rigid3::from_parts(
@@ -291,7 +293,7 @@ impl Problem {
         }
     }
 
-    /// A rotation; identity if the variable is none.
+    /// A rotation; the identity if the variable is not one.
     pub fn rotation(&self, id: VariableId) -> Quaternion {
         match self.values(id) {
             &[w, x, y, z] => Quaternion::new_normalize(na::Quaternion::new(w, x, y, z)),
@@ -304,17 +306,17 @@ impl Problem {
         self.values(id).first().copied().unwrap_or_default()
     }
 
-    /// How many variables there are, constant ones included.
+    /// Number of variables, including constant ones.
     pub fn variable_count(&self) -> usize {
         self.variables.len()
     }
 
-    /// How many factors there are.
+    /// Number of factors.
     pub fn factor_count(&self) -> usize {
         self.groups.iter().map(|g| g.pool.len()).sum()
     }
 
-    /// How many residuals all factors have together.
+    /// Number of residuals of all factors together.
     pub fn residual_count(&self) -> usize {
         self.factors().map(|(_, factor, _)| factor.residual_dimension()).sum()
     }

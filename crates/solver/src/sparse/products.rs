@@ -1,4 +1,4 @@
-//! Small matrix products, with fixed sizes where pose problems have them.
+//! Small matrix products, specialised for the sizes of pose problems.
 
 /// `out = AᵀB` for column-major `A` and `B` of `rows` rows; `out` is column-major too.
 pub(crate) fn transposed_product(rows: usize, a: &[f64], b: &[f64], out: &mut [f64]) {
@@ -19,7 +19,7 @@ pub(crate) fn transposed_product(rows: usize, a: &[f64], b: &[f64], out: &mut [f
     }
 }
 
-/// With sizes known, each column of the result is a sum of rows of `A`: whole vectors, no horizontal sums.
+/// With known sizes each column of the result is a sum of rows of `A`: whole vectors, no horizontal sums.
 fn fixed<const ROWS: usize, const COLUMNS: usize>(a: &[f64], b: &[f64], out: &mut [f64]) {
     let mut a_rows = [[0.0; COLUMNS]; ROWS];
     for (column, values) in a.as_chunks::<ROWS>().0.iter().enumerate().take(COLUMNS) {

@@ -1,4 +1,4 @@
-//! Levenberg–Marquardt on a sparse problem.
+//! Levenberg–Marquardt for sparse problems.
 
 use std::ops::ControlFlow;
 
@@ -9,16 +9,16 @@ use super::problem::{FactorId, Problem, ProblemError};
 use crate::trust_region::{Linearized, Progress, SolverOptions, Step, Summary, minimize};
 
 impl Problem {
-    /// Minimises the cost over all variables that are not constant, by Levenberg–Marquardt with the rules
-    /// of [`SolverOptions`] and sparse Cholesky factorisation. The variables get the best values found.
+    /// Minimises the cost over all variables that are not constant, by Levenberg–Marquardt with the rules of
+    /// [`SolverOptions`] and sparse Cholesky factorisation. The variables are set to the best values found.
     ///
-    /// The result is the same for any number of threads of the rayon pool in which this runs. Directions
-    /// that no factor determines do not move; when the normal equations stay singular at any damping, the
-    /// start is kept and the summary says
+    /// The result is the same for any number of threads of the rayon pool in which this runs. Degenerate
+    /// directions, which no factor constrains, do not change. If the normal equations stay singular at any
+    /// damping, the variables keep their initial values and the summary contains
     /// [`Termination::InvalidSteps`](crate::Termination::InvalidSteps).
     ///
     /// # Errors
-    /// The problem is too large, or a residual cannot be evaluated at the start.
+    /// If the problem is too large, or a residual cannot be evaluated at the initial values.
     pub fn solve(&mut self, options: &SolverOptions) -> Result<Summary, ProblemError> {
         self.solve_observed(options, &mut |_| ControlFlow::Continue(()))
     }
@@ -37,14 +37,14 @@ impl Problem {
         self.solve_with(&mut prepared, options, observer)
     }
 
-    /// Analyses the structure of the problem, for several solutions from different values. Adding variables
-    /// or factors and holding or freeing variables makes it useless.
+    /// Analyses the structure of the problem once, for several solutions from different values. The analysis
+    /// becomes invalid when variables or factors are added, or variables are made constant or free.
     pub(crate) fn prepare(&self) -> Result<Prepared, ProblemError> {
         let (linearization, system) = Linearization::new(self)?;
         Ok(Prepared { linearization, system })
     }
 
-    /// [`Problem::solve`] with the structure known.
+    /// [`Problem::solve`] with a prepared structure.
     pub(crate) fn solve_prepared(
         &mut self,
         prepared: &mut Prepared,
@@ -67,7 +67,7 @@ impl Problem {
         Ok(summary)
     }
 
-    /// The cost `½ Σ ρ(‖r‖²)` at the current values; `None` where some residual cannot be evaluated.
+    /// The cost `½ Σ ρ(‖r‖²)` at the current values; `None` if some residual cannot be evaluated.
     pub fn cost(&self) -> Option<f64> {
         self.factor_costs().map(|(_, cost)| cost).sum()
     }
@@ -78,7 +78,7 @@ impl Problem {
     }
 }
 
-/// The structure of a problem and room for its normal equations.
+/// The structure of a problem and memory for its normal equations.
 pub(crate) struct Prepared {
     pub linearization: Linearization,
     pub system: BlockSystem,
@@ -123,8 +123,8 @@ impl<'a> SparseRun<'a> {
         }
     }
 
-    /// Linearises at the start and returns its cost. Column scales are fixed here, so that the radius means
-    /// the same over the whole run.
+    /// Linearises at the start and returns its cost. The column scales are fixed here, so that the radius has
+    /// the same meaning during the whole run.
     fn start(&mut self) -> Option<f64> {
         let cost = self.linearization.cost(self.problem, &self.current)?;
         let Self { linearization, problem, current, system, gradient, .. } = self;
@@ -136,7 +136,7 @@ impl<'a> SparseRun<'a> {
         cost.is_finite().then_some(cost)
     }
 
-    /// The damped diagonal of the scaled matrix, carried back to the unscaled one.
+    /// Sets the damping: the damped diagonal of the scaled matrix, converted to the unscaled one.
     fn set_damping(&mut self, radius: f64, (min, max): (f64, f64)) {
         let (damping, scale, values) = (&mut self.damping, &self.squared_scale, &self.system.values);
         BlockSystem::for_each_diagonal(&self.system.pattern, |i, at| {

@@ -1,10 +1,10 @@
-//! Neighbouring columns of a factor with nearly the same rows, kept as dense panels.
+//! Supernodes: adjacent columns of a factor with nearly the same rows, stored as dense panels.
 
 use super::ProblemError;
 use super::block_pattern::BlockPattern;
 use super::fill::factor_rows;
 
-/// Columns up to so many are kept as one panel if this part of it would be zeros at most.
+/// Maximum width of a panel in columns, with the maximum fraction of zeros at which columns are still merged.
 const RELAXED: [(usize, f64); 2] = [(24, 0.1), (usize::MAX, 0.02)];
 
 /// Columns `first..end` of the factor as one panel, column by column.
@@ -12,11 +12,11 @@ const RELAXED: [(usize, f64); 2] = [(24, 0.1), (usize::MAX, 0.02)];
 pub(super) struct Supernode {
     pub first: usize,
     pub end: usize,
-    /// First of its rows in [`Supernodes::rows`]; the own columns come first.
+    /// Index of its first row in [`Supernodes::rows`]; its own columns come first.
     pub rows: usize,
-    /// How many rows it has.
+    /// Number of rows.
     pub height: usize,
-    /// First value of the panel.
+    /// Index of the first value of the panel.
     pub values: usize,
 }
 
@@ -37,13 +37,13 @@ pub(super) struct Supernodes {
     rows: Vec<u32>,
     /// The supernode of each column.
     pub of_column: Vec<u32>,
-    /// How many values the panels have.
+    /// Number of values of all panels.
     pub value_count: usize,
 }
 
 impl Supernodes {
     /// # Errors
-    /// More values than can be counted.
+    /// If there are more values than can be counted.
     pub fn new(pattern: &BlockPattern) -> Result<Self, ProblemError> {
         let n = pattern.block_count();
         let lower: Vec<Vec<u32>> =
@@ -83,7 +83,7 @@ impl Supernodes {
         Ok(())
     }
 
-    /// The rows of a supernode, its own columns first, ascending.
+    /// The rows of a supernode, ascending; its own columns come first.
     pub fn rows(&self, supernode: &Supernode) -> &[u32] {
         &self.rows[supernode.rows..supernode.rows + supernode.height]
     }
@@ -94,7 +94,7 @@ struct Range {
     first: usize,
     end: usize,
     width: usize,
-    /// Values of these columns on and below the diagonal that are not always zero.
+    /// Number of structurally non-zero values of these columns on and below the diagonal.
     nonzeros: usize,
 }
 
@@ -104,7 +104,8 @@ impl Range {
         Self { first: column, end: column + 1, width, nonzeros: panel(width, height(pattern, &rows[column])) }
     }
 
-    /// Both as one, if the later one stands for the first row of this one and few zeros come with it.
+    /// The merged range, if the first row of this range belongs to the later one and the merging adds few
+    /// zeros.
     fn with(&self, later: &Self, pattern: &BlockPattern, rows: &[Vec<u32>]) -> Option<Self> {
         let parent = *rows[self.end - 1].first()? as usize;
         if !(later.first..later.end).contains(&parent) {
@@ -118,12 +119,12 @@ impl Range {
     }
 }
 
-/// Scalar rows of these blocks.
+/// Number of scalar rows of these blocks.
 fn height(pattern: &BlockPattern, rows: &[u32]) -> usize {
     rows.iter().map(|row| pattern.dimensions[*row as usize] as usize).sum()
 }
 
-/// Values on and below the diagonal of a panel with so many rows below its columns.
+/// Number of values on and below the diagonal of a panel with `below` rows below its columns.
 fn panel(width: usize, below: usize) -> usize {
     width * (width + 1) / 2 + width * below
 }

@@ -1,9 +1,9 @@
-//! How well a step did compared with what the linear model promised, with or without memory.
+//! Ratio of the actual decrease of the cost to that predicted by the linear model, with or without memory.
 
-/// Steps in a row that may raise the cost before Cartographer moves up.
+/// Maximum number of successive steps that may raise the cost.
 const MAX_CONSECUTIVE_NONMONOTONIC_STEPS: u32 = 5;
 
-/// Ratio of real to promised decrease. With non-monotonic steps the decrease is also measured against a
+/// Ratio of actual to predicted decrease. With non-monotonic steps the decrease is also measured from a
 /// reference some steps back (Conn, Gould and Toint, "Trust-region methods", 2000, algorithm 10.1.2).
 pub(crate) struct StepQuality {
     max_consecutive_nonmonotonic_steps: u32,
@@ -34,14 +34,14 @@ impl StepQuality {
         }
     }
 
-    /// The quality of a step to `cost` for which the model promised `model_cost_change`.
+    /// The quality of a step to `cost` for which the model predicted `model_cost_change`.
     pub fn of(&self, cost: f64, model_cost_change: f64) -> f64 {
         let recent = (self.current_cost - cost) / model_cost_change;
         let historical = (self.reference_cost - cost) / (self.reference_model_change + model_cost_change);
         recent.max(historical)
     }
 
-    /// Takes note of an accepted step.
+    /// Records an accepted step.
     pub fn accept(&mut self, cost: f64, model_cost_change: f64) {
         self.current_cost = cost;
         self.reference_model_change += model_cost_change;

@@ -1,23 +1,23 @@
-//! What the solver reports.
+//! Summary of a run of the solver.
 
 /// Why the solver stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Termination {
-    /// The cost hardly changes any more.
+    /// The relative change of the cost is below its tolerance.
     FunctionTolerance,
-    /// The gradient vanishes.
+    /// The gradient is below its tolerance.
     GradientTolerance,
-    /// The parameters hardly change any more.
+    /// The relative change of the parameters is below its tolerance.
     ParameterTolerance,
     /// The trust region vanished: no direction lowers the cost.
     TrustRegionTooSmall,
     /// `max_num_iterations` steps were tried.
     MaxIterations,
-    /// The caller asked to stop.
+    /// The caller stopped the solver.
     Cancelled,
     /// Too many steps in a row could not be computed: the normal equations stay singular.
     InvalidSteps,
-    /// The problem could not be evaluated where it had to be (cost or derivatives not finite).
+    /// The problem could not be evaluated where this was required (cost or derivatives not finite).
     EvaluationFailed,
 }
 
@@ -37,37 +37,38 @@ impl std::fmt::Display for Termination {
 }
 
 impl Termination {
-    /// Whether a minimum was reached as far as the tolerances can tell.
+    /// Whether a minimum was reached within the tolerances.
     pub fn is_convergence(self) -> bool {
         use Termination::*;
         matches!(self, FunctionTolerance | GradientTolerance | ParameterTolerance | TrustRegionTooSmall)
     }
 
-    /// Whether the result is at least usable: not worse than the start, and not for lack of evaluation.
+    /// Whether the result is usable: not worse than the start, and no failure to evaluate or to compute
+    /// steps.
     pub fn is_usable(self) -> bool {
         !matches!(self, Self::InvalidSteps | Self::EvaluationFailed)
     }
 }
 
-/// What the solver did. Costs are `½ Σ ρ(‖r‖²)`.
+/// Summary of a run. Costs are `½ Σ ρ(‖r‖²)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Summary {
-    /// Cost of the state given; NaN if it could not be evaluated.
+    /// Cost of the initial state; NaN if it could not be evaluated.
     pub initial_cost: f64,
-    /// Cost of the state returned.
+    /// Cost of the returned state.
     pub final_cost: f64,
-    /// Steps tried.
+    /// Number of steps tried.
     pub iterations: u32,
-    /// Steps that were kept.
+    /// Number of steps accepted.
     pub successful_steps: u32,
-    /// Why it stopped.
+    /// Why the solver stopped.
     pub termination: Termination,
 }
 
 /// The state of the loop after one iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// Steps tried so far.
+    /// Number of steps tried so far.
     pub iteration: u32,
     /// Cost of the current state.
     pub cost: f64,
@@ -75,6 +76,6 @@ pub struct Progress {
     pub gradient_max_norm: f64,
     /// Radius of the next step.
     pub trust_region_radius: f64,
-    /// Whether the step just tried was kept.
+    /// Whether the last step was accepted.
     pub step_is_successful: bool,
 }

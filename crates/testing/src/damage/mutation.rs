@@ -1,4 +1,4 @@
-//! The damage itself.
+//! Mutations that damage files.
 
 use std::io::{Read, Write};
 use std::ops::Range;
@@ -6,7 +6,7 @@ use std::ops::Range;
 use super::random::Random;
 use super::records::{Layout, Records, number};
 
-/// Numbers that readers stumble over, as text.
+/// Text values that often break readers of numbers.
 const WORDS: [&str; 14] = [
     "nan",
     "inf",
@@ -23,11 +23,11 @@ const WORDS: [&str; 14] = [
     "\u{fffd}",
     "{",
 ];
-/// And as lengths.
+/// Lengths that often break readers.
 const LENGTHS: [u64; 10] =
     [0, 1, 0x7f, 0xff, 0xffff, 0x7fff_ffff, 0x8000_0000, 0xffff_ffff, 0x7fff_ffff_ffff_ffff, u64::MAX];
 
-/// A damaged copy of a sound file: one to four wounds.
+/// Damaged copy of a sound file, with one to four mutations.
 pub fn damaged(sound: &[u8], layout: Layout, random: &mut Random) -> Vec<u8> {
     let mut bytes = sound.to_vec();
     for _ in 0..=random.below(4) {
@@ -45,7 +45,7 @@ pub fn damaged(sound: &[u8], layout: Layout, random: &mut Random) -> Vec<u8> {
     bytes
 }
 
-/// Damage that knows nothing.
+/// Damage without knowledge of the format: truncated, overwritten, removed or flipped bytes.
 fn any_bytes(bytes: &mut Vec<u8>, random: &mut Random) {
     let at = random.below(bytes.len());
     let bits = random.below(13);
@@ -65,7 +65,7 @@ fn any_bytes(bytes: &mut Vec<u8>, random: &mut Random) {
     }
 }
 
-/// Records removed, doubled, swapped, emptied, cut in the middle; lengths changed.
+/// Damage of whole records: removed, duplicated, copied elsewhere, zeroed, or cut in the middle; or a changed length.
 fn whole_records(bytes: &mut Vec<u8>, records: &Records, random: &mut Random) {
     if !records.lengths.is_empty() && random.once_in(2) {
         let field = random.choose(&records.lengths).clone();
@@ -88,7 +88,7 @@ fn whole_records(bytes: &mut Vec<u8>, records: &Records, random: &mut Random) {
         0 => drop(bytes.drain(record)),
         1 => drop(bytes.splice(record.start..record.start, copy)),
         2 => {
-            // The same again, very often, but not without bound.
+            // Up to 200 copies of the record, at most 1 MiB.
             let times = (1 + random.below(200)).min((1 << 20) / copy.len().max(1));
             drop(bytes.splice(record.start..record.start, copy.repeat(times)));
         }
@@ -101,7 +101,7 @@ fn whole_records(bytes: &mut Vec<u8>, records: &Records, random: &mut Random) {
     }
 }
 
-/// A word or number of a text replaced; a line made endless.
+/// Replaces a word or number of a text, sometimes by a very long one.
 fn replace_word(bytes: &mut Vec<u8>, random: &mut Random) {
     let is_blank = |byte: &u8| b" ,\t\n:[]{}=".contains(byte);
     let at = random.below(bytes.len());
@@ -115,7 +115,7 @@ fn replace_word(bytes: &mut Vec<u8>, random: &mut Random) {
     drop(bytes.splice(start..end.max(start), word.bytes()));
 }
 
-/// A protobuf message of a map unpacked, damaged and packed again, so that readers get past gzip.
+/// Decompresses a protobuf message of a map, damages it and compresses it again, so that readers get past gzip.
 fn in_message(bytes: &mut Vec<u8>, records: &Records, random: &mut Random) {
     let Some(record) = records.records.get(random.below(records.records.len())).cloned() else { return };
     let mut message = Vec::new();
@@ -146,7 +146,7 @@ fn in_message(bytes: &mut Vec<u8>, records: &Records, random: &mut Random) {
     drop(bytes.splice(record, whole));
 }
 
-/// Fields of a message and, for those that may be messages, the fields in them.
+/// Byte ranges of the fields of a message and, for fields that may be messages, of the fields in them.
 fn protobuf_fields(message: &[u8]) -> Vec<Range<usize>> {
     let mut found = Vec::new();
     let whole = 0..message.len();
@@ -186,7 +186,7 @@ fn varint(bytes: &[u8], at: usize) -> Option<(u64, usize)> {
     None
 }
 
-/// The checksums of E57 pages, so that damage is not found at once.
+/// Recomputes the checksums of E57 pages, so that readers do not detect the damage by them.
 fn put_checksums_right(bytes: &mut Vec<u8>) {
     bytes.truncate(bytes.len() / 1024 * 1024);
     for page in bytes.chunks_exact_mut(1024) {

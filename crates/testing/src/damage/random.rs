@@ -1,11 +1,11 @@
-//! Numbers that follow from a seed and the number of a case.
+//! Pseudo-random numbers, reproducible from a seed and the number of a test case.
 
-/// A generator (splitmix64).
+/// Pseudo-random number generator (splitmix64).
 #[derive(Clone, Debug)]
 pub struct Random(u64);
 
 impl Random {
-    /// Of one case.
+    /// The generator of one test case.
     pub fn new(seed: u64, case: u64) -> Self {
         let mut random =
             Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ case.wrapping_mul(0xd1b5_4a32_d192_ed03));
@@ -13,7 +13,7 @@ impl Random {
         random
     }
 
-    /// Any number.
+    /// The next number.
     #[allow(clippy::should_implement_trait)] // it never ends
     pub fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
@@ -23,21 +23,21 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// A number below `end`; 0 if that is 0.
+    /// A number below `end`; 0 if `end` is 0.
     pub fn below(&mut self, end: usize) -> usize {
         if end == 0 { 0 } else { (self.next() % end as u64) as usize }
     }
 
-    /// One of them.
+    /// A random element.
     ///
     /// # Panics
     ///
-    /// If there are none.
+    /// If the slice is empty.
     pub fn choose<'a, T>(&mut self, of: &'a [T]) -> &'a T {
         &of[self.below(of.len())]
     }
 
-    /// Whether something happens that happens once in `times`.
+    /// True with probability 1 / `times`.
     pub fn once_in(&mut self, times: usize) -> bool {
         self.below(times) == 0
     }

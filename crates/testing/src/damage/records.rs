@@ -1,29 +1,29 @@
-//! Where the records of a file begin and end, and which of their bytes are lengths.
+//! Finds the records of a file and their length fields.
 
 use std::ops::Range;
 
-/// How records are distinguished.
+/// Layout of the records of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
-    /// Text, a record a line.
+    /// Text with one record per line.
     Lines,
-    /// Text without lines that matter.
+    /// Text in which lines have no meaning.
     Tokens,
-    /// ROS 1: length and header, length and data.
+    /// ROS 1 bag: length and header, length and data.
     Bag,
-    /// Opcode, length, content.
+    /// MCAP: opcode, length, content.
     Mcap,
-    /// Length and gzip, with protobuf in it.
+    /// Length and gzip-compressed protobuf message.
     Pbstream,
-    /// Pages of so many bytes.
+    /// Pages of this size, bytes.
     Pages(usize),
-    /// Pages with checksums, which are put right.
+    /// E57: pages of 1024 bytes with checksums, which are usually recomputed after the damage.
     E57,
-    /// A header in the first hundreds of bytes; then anything.
+    /// A header in the first few hundred bytes, then rows.
     HeaderThenRows,
 }
 
-/// The records of a file, and the fields in it that are lengths or counts.
+/// Byte ranges of the records of a file, and of its fields that are lengths or counts.
 #[derive(Default)]
 pub(super) struct Records {
     pub records: Vec<Range<usize>>,
@@ -31,7 +31,7 @@ pub(super) struct Records {
 }
 
 impl Records {
-    /// Looks through a sound file.
+    /// Finds the records of a file.
     pub fn of(bytes: &[u8], layout: Layout) -> Self {
         match layout {
             Layout::Lines => Self::lines(bytes),
@@ -71,7 +71,7 @@ impl Records {
             let end = at + 8 + header + data;
             found.lengths.extend([at..at + 4, at + 4 + header..at + 8 + header]);
             found.records.push(at..end.min(bytes.len()));
-            // Fields of the header: each has a length, too.
+            // Each field of the header has a length, too.
             let mut field = at + 4;
             while let Some(length) = number(bytes, field, 4).filter(|l| field + 4 + l <= at + 4 + header) {
                 found.lengths.push(field..field + 4);
@@ -103,7 +103,7 @@ impl Records {
     }
 }
 
-/// A little-endian number of so many bytes.
+/// Little-endian number of `size` bytes at offset `at`.
 pub(super) fn number(bytes: &[u8], at: usize, size: usize) -> Option<usize> {
     let mut value = [0; 8];
     value[..size].copy_from_slice(bytes.get(at..at.checked_add(size)?)?);

@@ -1,31 +1,32 @@
-//! A hierarchy of boxes around solids, so that a ray looks at few of them.
+//! A bounding volume hierarchy of solids, so that a ray is tested against few of them.
 //!
-//! Built top down with the surface area heuristic over 16 bins an axis (Wald, "On fast construction of
-//! SAH-based bounding volume hierarchies", 2007). Boxes are single precision and a millimetre too large,
-//! so that rounding misses nothing; ranges are computed in double precision.
+//! Built top down with the surface area heuristic over 16 bins per axis (Wald, "On fast construction of
+//! SAH-based bounding volume hierarchies", 2007). Boxes are in single precision and a millimetre too large,
+//! so that no hit is lost by rounding; ranges are computed in double precision.
 
 use portolan_geometry::Vector3;
 
 use super::primitive::{Bounds, Hit3, Ray3, Solid};
 
 const BINS: usize = 16;
-/// Boxes are so much larger than what is in them, metres.
+/// Margin of a box around its contents on each side, metres.
 const MARGIN: f64 = 1e-3;
 const MOST_IN_A_LEAF: usize = 4;
-/// No branch is deeper; where it would be, a leaf is larger instead.
+/// Maximum depth of the hierarchy; a node at this depth is a leaf of any size.
 const MAX_DEPTH: usize = 60;
 
 #[derive(Clone, Copy, Debug)]
 struct Node {
     min: [f32; 3],
     max: [f32; 3],
-    /// First solid of a leaf; second child of a branch (the first follows it).
+    /// Index of the first solid of a leaf, or of the second child of a branch (the first child follows the
+    /// branch).
     next: u32,
-    /// Solids in a leaf; 0 in a branch.
+    /// Number of solids in a leaf; 0 in a branch.
     count: u32,
 }
 
-/// Solids that do not move, in a hierarchy.
+/// Static solids in a bounding volume hierarchy.
 #[derive(Clone, Debug)]
 pub struct Hierarchy {
     nodes: Vec<Node>,
@@ -39,7 +40,7 @@ struct Item {
 }
 
 impl Hierarchy {
-    /// Puts solids in order.
+    /// Builds the hierarchy.
     pub fn new(solids: Vec<Solid>) -> Self {
         let item = |solid: Solid| {
             let bounds = solid.body.bounds();
@@ -58,7 +59,7 @@ impl Hierarchy {
         &self.solids
     }
 
-    /// The first solid that a ray meets nearer than `limit` metres.
+    /// The first hit of a ray nearer than `limit` metres.
     pub fn cast(&self, ray: &Ray3, limit: f64) -> Option<Hit3> {
         let query = Query::new(ray);
         let mut nearest: Option<(f64, Vector3, usize)> = None;
@@ -96,7 +97,7 @@ impl Hierarchy {
                     continue;
                 }
             }
-            // The next open node that is not behind what was met meanwhile.
+            // The next node on the stack that is not behind the nearest hit so far.
             loop {
                 if depth == 0 {
                     return nearest.map(|(range, normal, index)| Hit3 {
@@ -116,7 +117,7 @@ impl Hierarchy {
     }
 }
 
-/// A ray in single precision, for boxes.
+/// A ray in single precision, for tests of boxes.
 struct Query {
     origin: [f32; 3],
     inverse: [f32; 3],
@@ -133,7 +134,8 @@ impl Query {
         }
     }
 
-    /// Where the ray enters a box (0 inside), a little early; infinite where it passes.
+    /// Range at which the ray enters a box, slightly too small (0 inside the box); infinite if it misses
+    /// the box.
     fn enters(&self, node: &Node) -> f32 {
         let (mut enter, mut leave) = (0.0_f32, f32::INFINITY);
         for axis in 0..3 {
@@ -142,7 +144,7 @@ impl Query {
             enter = enter.max(a.min(b));
             leave = leave.min(a.max(b));
         }
-        // Single precision has 24 bits; four of the last may be wrong after two operations.
+        // Single precision has 24 bits, of which the last four may be wrong after two operations.
         if enter <= leave * 1.000_001 { enter * 0.999_999 } else { f32::INFINITY }
     }
 }
@@ -168,7 +170,8 @@ fn build(items: &mut [Item], first: usize, depth: usize, nodes: &mut Vec<Node>) 
     build(right, first + split, depth + 1, nodes);
 }
 
-/// Parts items in two for the cheapest expected search; none where a leaf is cheaper.
+/// Splits items in two where the expected cost of a search is least. Gives the number of items in the first
+/// part; none if a leaf is cheaper.
 fn split(items: &mut [Item], bounds: &Bounds) -> Option<usize> {
     let centres = items
         .iter()
@@ -184,7 +187,7 @@ fn split(items: &mut [Item], bounds: &Bounds) -> Option<usize> {
             let bin = &mut bins[bin_of(axis, item)];
             *bin = (bin.0.union(&item.bounds), bin.1 + 1);
         }
-        // Costs of everything from a bin on, then sweep from the other side.
+        // Costs of all items from each bin on; then a pass from the other side.
         let mut above = [0.0; BINS];
         let (mut all, mut count) = (Bounds::empty(), 0);
         for i in (1..BINS).rev() {
@@ -202,11 +205,11 @@ fn split(items: &mut [Item], bounds: &Bounds) -> Option<usize> {
     }
     let leaf_cost = bounds.half_area() * items.len() as f64;
     match best {
-        // A branch costs about half as much as looking at a solid.
+        // A branch costs about half as much as the test of a solid.
         Some((cost, axis, bin))
             if items.len() > MOST_IN_A_LEAF || cost + 0.5 * bounds.half_area() < leaf_cost =>
         {
-            // A stable order keeps the hierarchy the same everywhere.
+            // A stable sort gives the same hierarchy on every platform.
             items.sort_by_key(|item| bin_of(axis, item) >= bin);
             Some(items.partition_point(|item| bin_of(axis, item) < bin))
         }

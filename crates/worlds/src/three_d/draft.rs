@@ -5,14 +5,14 @@ use portolan_geometry::Vector3;
 use super::primitive::{Body, Solid};
 use crate::two_d::Material;
 
-/// Solids as they are drawn.
+/// Solids of a world that is being drawn.
 #[derive(Clone, Debug, Default)]
 pub struct SolidDraft {
-    /// What has been drawn.
+    /// The solids drawn so far.
     pub solids: Vec<Solid>,
 }
 
-/// A hole in a wall: from, to along the wall and from, to above its foot, metres.
+/// A hole in a wall: start and end along the wall, then start and end above its foot, metres.
 pub(super) type Hole = [f64; 4];
 
 impl SolidDraft {
@@ -21,7 +21,7 @@ impl SolidDraft {
         self.solids.push(Solid { body, material });
     }
 
-    /// A box along the axes between two corners; nothing if it has no extent.
+    /// An axis-parallel box between two corners; nothing if it has no extent.
     pub fn block(&mut self, min: [f64; 3], max: [f64; 3], material: Material) {
         let (min, max) = (Vector3::from(min), Vector3::from(max));
         let half = (max - min) * 0.5;
@@ -30,7 +30,7 @@ impl SolidDraft {
         }
     }
 
-    /// A box of a size on the ground at a place, turned by a yaw in radians.
+    /// A box of this size that stands at `foot`, rotated by a yaw in radians.
     pub fn turned_block(&mut self, foot: Vector3, size: [f64; 3], yaw: f64, material: Material) {
         let half = Vector3::from(size) * 0.5;
         let (sine, cosine) = libm::sincos(yaw);
@@ -38,12 +38,12 @@ impl SolidDraft {
         self.add(Body::Box { centre, half, turn: [cosine, sine] }, material);
     }
 
-    /// An upright cylinder on the ground.
+    /// An upright cylinder that stands at `foot`.
     pub fn column(&mut self, foot: Vector3, radius: f64, height: f64, material: Material) {
         self.add(Body::Cylinder { base: foot, radius, height }, material);
     }
 
-    /// A flat piece with four corners in order round it.
+    /// A flat quadrilateral; its corners are in order around it.
     pub fn quad(&mut self, corners: [Vector3; 4], material: Material) {
         let [a, b, c, d] = corners;
         self.add(Body::Triangle { corner: a, edges: [b - a, c - a] }, material);
@@ -51,7 +51,7 @@ impl SolidDraft {
     }
 
     /// A wall along x (`along` = 0) or y (1) from `from` to `to`, with its middle at `at` on the other
-    /// axis, `foot` to `top` high, with holes.
+    /// axis, from height `foot` to `top`, with holes.
     pub(super) fn wall(
         &mut self,
         along: usize,
@@ -82,8 +82,8 @@ impl SolidDraft {
         piece(done, to, foot, top);
     }
 
-    /// A floor between two corners in 2D, its upper side at `level`, without a hole
-    /// `[x0, y0, x1, y1]`.
+    /// A floor over a rectangle `[x0, y0, x1, y1]`, its upper side at `level`, without the rectangle
+    /// `hole`.
     pub(super) fn floor(
         &mut self,
         [x0, y0, x1, y1]: [f64; 4],

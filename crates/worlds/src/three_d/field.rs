@@ -1,4 +1,4 @@
-//! A field: open, nearly flat ground. What there is stands at its rim.
+//! A field: open, nearly flat ground, with trees at its rim only.
 
 use portolan_geometry::Vector3;
 
@@ -11,9 +11,9 @@ use crate::random::Random;
 
 /// Height of the undulations, metres: slopes of less than a hundredth.
 const UNDULATION: f64 = 0.1;
-/// Trees stand on a ring that is so many times as wide as the field.
+/// Semi-axes of the ellipse on which trees stand, as a fraction of the size of the field.
 const RING: f64 = 0.5;
-/// Ways reach as far, as shares of the size of the field.
+/// Maximum distance of paths from the middle along each axis, as a fraction of the size of the field.
 const REACH: f64 = 0.28;
 /// Edge of the triangles of the ground, metres.
 const CELL: f64 = 3.0;
@@ -45,7 +45,7 @@ pub(crate) fn draw_field(style: &SolidStyle, seed: u64) -> SolidPlan {
     SolidPlan { strolls: loops.clone(), loops, marks, solids: draft.solids }
 }
 
-/// A closed way from the middle out in one direction, round, and back.
+/// A closed path from the middle out in one direction, around, and back.
 fn petal(
     terrain: &Terrain,
     [x, y]: [f64; 2],

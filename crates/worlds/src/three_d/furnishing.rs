@@ -1,4 +1,4 @@
-//! What stands in halls and outdoors, away from the paths.
+//! Furniture of halls and objects outdoors, away from the paths.
 
 use portolan_geometry::Vector3;
 
@@ -8,7 +8,7 @@ use super::tree::{draw_bush, draw_tree};
 use crate::random::Random;
 use crate::two_d::Material;
 
-/// Ways that are kept free.
+/// Paths that are kept free.
 #[derive(Clone, Debug, Default)]
 pub(super) struct FreeWays {
     segments: Vec<[Vector3; 2]>,
@@ -19,7 +19,7 @@ impl FreeWays {
         self.segments.extend(way.windows(2).map(|pair| [pair[0], pair[1]]));
     }
 
-    /// Horizontal distance of a place from the nearest way on its storey.
+    /// Horizontal distance of a position from the nearest path on its storey, metres.
     pub fn distance(&self, place: &Vector3) -> f64 {
         let near = self
             .segments
@@ -53,7 +53,7 @@ impl Hall {
         })
     }
 
-    /// Furnishes the hall; `clutter` 1 is as usual.
+    /// Furnishes the hall; `clutter` 1 is the usual density.
     pub fn furnish(&self, draft: &mut SolidDraft, free: &FreeWays, random: &mut Random, clutter: f64) {
         let [x0, y0, x1, y1] = self.area;
         let tries = ((x1 - x0) * (y1 - y0) * 0.4 * clutter) as usize;
@@ -75,7 +75,7 @@ impl Hall {
         }
     }
 
-    /// Frames on the four walls, a hand's width above each other's neighbours and never on the floor.
+    /// Hangs frames of random size on the four walls, at least 2.45 m above the floor.
     fn hang_pictures(&self, draft: &mut SolidDraft, random: &mut Random, clutter: f64) {
         let [x0, y0, x1, y1] = self.area;
         for (along, from, to, at, inward) in
@@ -110,7 +110,7 @@ fn draw_exhibit(draft: &mut SolidDraft, kind: usize, place: Vector3, height: f64
             draft.column(up(pedestal), random.between(0.12, 0.22), 0.7, Material::Wall);
             draft.add(Body::Ball { centre: up(pedestal + 0.85), radius: 0.17 }, Material::Wall);
         }
-        // A glass case with something in it.
+        // A glass case with an exhibit.
         1 => {
             draft.turned_block(place, [0.8, 0.8, 0.9], yaw, Material::Furniture);
             draft.add(Body::Ball { centre: up(1.1), radius: random.between(0.08, 0.18) }, Material::Metal);
@@ -181,7 +181,7 @@ pub(super) fn draw_car(draft: &mut SolidDraft, place: Vector3, yaw: f64, random:
     }
 }
 
-/// What stands outside in a rectangle, away from ways and from what is built in `built`.
+/// Trees, bushes, posts, benches and balls in a rectangle, away from paths and from the rectangles `built`.
 pub(super) fn furnish_outdoors(
     draft: &mut SolidDraft,
     ground: &dyn Fn(f64, f64) -> Vector3,

@@ -14,15 +14,15 @@ const STOREY: f64 = 3.0;
 const SLOPE: f64 = 0.14;
 const SLAB: f64 = 0.25;
 const RAMP_WIDTH: f64 = 4.0;
-/// Where ramps begin along x, metres.
+/// Coordinate along x at which ramps begin, metres.
 const RAMP_START: f64 = 8.0;
-/// From the walls to the lanes, metres.
+/// Distance of the lanes from the walls, metres.
 const LANE: f64 = 4.0;
 
 struct Garage {
     size: [f64; 2],
     decks: usize,
-    /// Middle of the ramps along y: up, down.
+    /// Coordinates along y of the middles of the ramps: up, down.
     ramps: [f64; 2],
     ramp_end: f64,
 }
@@ -69,7 +69,7 @@ pub(crate) fn draw_garage(style: &SolidStyle, seed: u64) -> SolidPlan {
 }
 
 impl Garage {
-    /// Ways begin and end on the lowest deck before the ramps.
+    /// Closed paths, which begin and end on the lowest deck before the ramps.
     fn loops(&self) -> Vec<Vec<Vector3>> {
         let [width, depth] = self.size;
         let (near, far, top) = (LANE, width - LANE, depth - LANE);
@@ -113,7 +113,7 @@ impl Garage {
         if deck == 0 {
             draft.block([0.0, 0.0, -0.5], [width, depth, 0.0], Material::Floor);
         } else {
-            // The hole above the ramps, with the strip between them.
+            // A hole above both ramps, and the strip of floor between them.
             let hole = [RAMP_START + 4.0, low, self.ramp_end, high];
             draft.floor([0.0, 0.0, width, depth], level, SLAB, Some(hole), Material::Floor);
             draft.block([hole[0], up + half, level - SLAB], [hole[2], down - half, level], Material::Floor);
@@ -156,7 +156,7 @@ impl Garage {
         for column in 0..=columns {
             let x = 0.3 + (width - 0.6) * column as f64 / columns as f64;
             for y in [0.3, 6.6, self.ramps[0] - 2.4, self.ramps[1] + 2.4, depth - 6.6, depth - 0.3] {
-                // Not on the ways between the lanes.
+                // Not on the crossings between the lanes.
                 let crossing = (1.0..7.0).contains(&x) || (width - 7.0..width - 1.0).contains(&x);
                 if !crossing || y < 1.0 || y > depth - 1.0 {
                     let foot = Vector3::new(x, y, level);

@@ -1,4 +1,4 @@
-//! Worlds in 3D: what stands in them, who walks in them, and what a beam meets.
+//! Worlds in 3D: fixed solids, people who walk, and ray casting.
 
 mod bvh;
 mod draft;
@@ -26,28 +26,29 @@ pub use world::{Echo, Moment, SolidWorld};
 
 use portolan_geometry::Vector3;
 
-/// What a world looks like.
+/// Style of a world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SolidStyle {
     /// Width and depth, metres.
     pub size: [f64; 2],
     /// Storeys or decks.
     pub storeys: usize,
-    /// How much stands about: 0 nothing, 1 as usual, at most 3.
+    /// Density of furniture and other objects: 0 none, 1 usual, at most 3.
     pub clutter: f64,
     /// Fraction of windows, 0 to 1.
     pub glass: f64,
 }
 
-/// A world as it is drawn, before anything moves.
+/// Plan of a world: fixed solids, paths and positions of landmarks.
 #[derive(Clone, Debug, Default)]
 pub struct SolidPlan {
-    /// Everything fixed.
+    /// All fixed solids.
     pub solids: Vec<Solid>,
-    /// Closed paths over the ground, all from the same place and back to it. A tour is made of them.
+    /// Closed paths over the ground, all from the same position and back to it, of which a tour is
+    /// composed.
     pub loops: Vec<Vec<Vector3>>,
     /// Closed paths for people.
     pub strolls: Vec<Vec<Vector3>>,
-    /// Places for landmarks on walls, with the direction in which they can be seen.
+    /// Positions of landmarks on walls, each with its normal: the direction from which it can be seen.
     pub marks: Vec<(Vector3, Vector3)>,
 }

@@ -14,7 +14,7 @@ use crate::two_d::Material;
 const OUTER_WALL: f64 = 0.3;
 const INNER_WALL: f64 = 0.2;
 const SLAB: f64 = 0.3;
-/// The garden lies so much lower than the ground floor, metres.
+/// Height of the garden relative to the ground floor, metres.
 const GARDEN: f64 = -0.6;
 const RAMP_SLOPE: f64 = 0.08;
 const RAMP_WIDTH: f64 = 2.4;
@@ -30,14 +30,14 @@ const ENTRANCE: Cell = (1, 0);
 const ATRIUM: Cell = (1, 1);
 
 struct Museum {
-    /// Lines between the cells, the outer faces included.
+    /// Coordinates of the lines between the cells, the outer faces included.
     xs: [f64; 4],
     ys: [f64; 4],
     storey: f64,
     storeys: usize,
-    /// Middle of a path through each cell of each storey.
+    /// Middle waypoint of paths through each cell, by storey, column and row.
     centres: Vec<[[Vector3; 3]; 3]>,
-    /// Where along their wall the doors are, by storey: from each cell of the ring to the next.
+    /// Positions of the doors along their walls, by storey: from each cell of the ring to the next.
     doors: Vec<[f64; 8]>,
     stairs: [Stairwell; 2],
     terrain: Terrain,
@@ -118,13 +118,13 @@ impl Museum {
         Hall { area, level: storey as f64 * self.storey, height: height - SLAB }
     }
 
-    // Ways.
+    // Paths.
 
     fn centre(&self, (column, row): Cell, storey: usize) -> Vector3 {
         self.centres[storey][column][row]
     }
 
-    /// Straight through the door from ring cell `i` to the next one.
+    /// Path straight through the door from ring cell `i` to the next one.
     fn through_door(&self, i: usize, storey: usize) -> [Vector3; 2] {
         let (from, to) = (RING[i], RING[(i + 1) % 8]);
         let (at, level) = (self.doors[storey][i], storey as f64 * self.storey);
@@ -137,7 +137,7 @@ impl Museum {
         }
     }
 
-    /// Along the ring on a storey from cell number `from` over `count` doors, both ends included.
+    /// Path along the ring on a storey from cell number `from` through `count` doors, both ends included.
     fn along_ring(&self, from: usize, count: usize, storey: usize) -> Vec<Vector3> {
         let mut way = vec![self.centre(RING[from % 8], storey)];
         for i in from..from + count {
@@ -147,14 +147,15 @@ impl Museum {
         way
     }
 
-    /// Through the door of a stairwell, outwards.
+    /// Path through the door of a stairwell, outwards.
     fn stair_door(&self, stairs: &Stairwell, storey: usize) -> [Vector3; 2] {
         let line = stairs.wall_x - stairs.side * 0.5 * OUTER_WALL;
         let (y, level) = (stairs.door_y(), storey as f64 * self.storey);
         [-0.7, 0.5].map(|u| Vector3::new(line + stairs.side * u, y, level))
     }
 
-    /// From the entrance hall up the east stairs, round the north of a storey, and down the west stairs.
+    /// Path from the entrance hall up the east stairs, around the north of a storey, and down the west
+    /// stairs.
     fn upper_loop(&self, storey: usize) -> Vec<Vector3> {
         // The halls before the stairs are crossed straight to their doors.
         let mut way = self.along_ring(0, 2, 0);
@@ -185,7 +186,7 @@ impl Museum {
         -PLATFORM + GARDEN / RAMP_SLOPE
     }
 
-    /// Out of the entrance, down the ramp, through the garden and up the steps of the terrace.
+    /// Path out of the entrance, down the ramp, through the garden and up the steps of the terrace.
     fn garden_loop(&self, random: &mut Random) -> Vec<Vector3> {
         let (x, terrace, end) = (self.entrance_x(), self.terrace_x(), self.ramp_end());
         let mut way = vec![self.centre(ENTRANCE, 0)];
@@ -214,7 +215,7 @@ impl Museum {
         way
     }
 
-    /// Through the atrium to the north and back through the east halls.
+    /// Path through the atrium to the north and back through the east halls.
     fn atrium_loop(&self) -> Vec<Vector3> {
         let x = self.entrance_x();
         let mut way = vec![self.centre(ENTRANCE, 0)];
@@ -282,7 +283,7 @@ impl Museum {
         self.stairs.iter().for_each(|stairs| stairs.draw(draft));
     }
 
-    /// A wall with holes; those above the floor are windows, with panes.
+    /// A wall with holes; those that begin above the floor are windows, with panes.
     fn walls(
         &self,
         draft: &mut SolidDraft,
@@ -353,7 +354,8 @@ impl Museum {
             let at = self.doors[storey][i];
             [at - half, at + half, 0.0, 2.3]
         };
-        // Doors of the ring by (is the wall along y, line, cell along the line).
+        // Holes as (0 for a wall along x, 1 along y; number of its line; the hole). First the doors of the
+        // ring.
         let mut holes: Vec<(usize, usize, Hole)> = Vec::new();
         for i in 0..8 {
             let (from, to) = (RING[i], RING[(i + 1) % 8]);

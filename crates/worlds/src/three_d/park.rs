@@ -10,7 +10,7 @@ use super::terrain::Terrain;
 use crate::random::Random;
 use crate::two_d::Material;
 
-/// Paths are drawn with a point about every so many metres.
+/// Approximate distance between the points of a path, metres.
 const STEP: f64 = 1.0;
 
 /// Draws a park.

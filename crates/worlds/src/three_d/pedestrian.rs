@@ -1,4 +1,4 @@
-//! People: a trunk, a head and two swinging legs on a closed way.
+//! People: a trunk, a head and two swinging legs on a closed path.
 
 use portolan_geometry::Vector3;
 
@@ -11,30 +11,31 @@ const TRUNK_RADIUS: f64 = 0.2;
 const TRUNK_HEIGHT: f64 = 0.65;
 const HEAD_RADIUS: f64 = 0.12;
 const HEAD_CENTRE: f64 = 1.64;
-/// Legs stand so far to the side of the middle, and swing so far ahead and back, metres.
+/// Distance of a leg from the middle of the body, to the side, metres.
 const LEG_SIDE: f64 = 0.1;
+/// Amplitude of the swing of a leg ahead and back, metres.
 const LEG_SWING: f64 = 0.28;
-/// Metres of way for two steps.
+/// Length of two steps, metres.
 const STRIDE: f64 = 1.35;
-/// Everything of a person is within so far of the vertical through its middle.
+/// Radius of the upright cylinder around the middle of a person that contains all parts, metres.
 const GIRTH: f64 = 0.5;
 const HEIGHT: f64 = 1.8;
 
-/// Somebody who walks for ever on a closed way.
+/// A person who walks on a closed path without end.
 #[derive(Clone, Debug)]
 pub struct Pedestrian {
-    /// Corners on the ground; the last one is the first again.
+    /// Corners of the path on the ground; the last one repeats the first.
     corners: Vec<Vector3>,
     /// Length of the path up to each corner, metres.
     lengths: Vec<f64>,
     speed: f64,
-    /// Metres along the path at time 0.
+    /// Position along the path at time 0, metres.
     offset: f64,
 }
 
 impl Pedestrian {
-    /// Walks through the corners and back to the first, `speed` m/s, starting `offset` metres along;
-    /// none if the path has no length.
+    /// A person who walks through the corners and back to the first at `speed` m/s, starting `offset`
+    /// metres along the path; none if the path has no length.
     pub fn new(way: &[Vector3], speed: f64, offset: f64) -> Option<Self> {
         let mut corners = way.to_vec();
         corners.push(*way.first()?);
@@ -47,7 +48,7 @@ impl Pedestrian {
         (length > 0.1 && length.is_finite()).then_some(Self { corners, lengths, speed, offset })
     }
 
-    /// Position on the ground and unit direction at a time.
+    /// Position on the ground, unit direction, and distance along the path at a time.
     fn place(&self, time: f64) -> (Vector3, Vector3, f64) {
         let total = self.lengths.last().copied().unwrap_or(1.0);
         let along = (self.offset + self.speed * time).rem_euclid(total);
@@ -63,12 +64,12 @@ impl Pedestrian {
         self.place(time).0
     }
 
-    /// The person from `start` for `duration` seconds.
+    /// The person during `duration` seconds from `start` on.
     pub(super) fn walker(&self, start: f64, duration: f64) -> Walker {
         Walker { parts: [self.parts(start), self.parts(start + duration)] }
     }
 
-    /// Left foot, right foot and middle on the ground.
+    /// Positions on the ground of the left foot, the right foot and the middle.
     fn parts(&self, time: f64) -> [Vector3; 3] {
         let (place, way, along) = self.place(time);
         let left = Vector3::new(-way.y, way.x, 0.0) * LEG_SIDE;

@@ -1,62 +1,62 @@
-//! The solids and surfaces a world in 3D is made of, and where a ray meets them.
+//! Solids and surfaces of worlds in 3D, and their intersections with rays.
 
 use portolan_geometry::Vector3;
 
 use crate::two_d::Material;
 
-/// Nearer than this to its start a ray meets nothing, metres.
+/// Minimum range of a hit, metres.
 const NEAREST: f64 = 1e-6;
 
-/// A half line.
+/// A ray: a half line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ray3 {
-    /// Where it starts, metres in the map frame.
+    /// Its start, metres in the map frame.
     pub origin: Vector3,
-    /// Unit vector.
+    /// Its direction, a unit vector.
     pub direction: Vector3,
 }
 
 impl Ray3 {
-    /// The point at a distance.
+    /// The point at a range, metres.
     pub fn at(&self, range: f64) -> Vector3 {
         self.origin + self.direction * range
     }
 }
 
-/// Where a ray meets a surface.
+/// Hit of a ray on a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit3 {
-    /// Metres from the start of the ray.
+    /// Distance from the start of the ray, metres.
     pub range: f64,
     /// Unit normal of the surface, against the ray.
     pub normal: Vector3,
-    /// Of what.
+    /// Material of the surface.
     pub material: Material,
 }
 
-/// Where a surface is, metres in the map frame. Bodies are met from outside only; a ray that starts in
-/// one leaves it unseen.
+/// Geometry of a solid or a surface, metres in the map frame. Solids are hit from outside only: a ray that
+/// starts inside one leaves it without a hit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Body {
-    /// A box, turned about the vertical.
+    /// A box, rotated about the vertical.
     Box {
         /// Its centre.
         centre: Vector3,
-        /// Half of its edges.
+        /// Half of its edges, along its own axes.
         half: Vector3,
         /// Cosine and sine of its yaw.
         turn: [f64; 2],
     },
-    /// A triangle, met from both sides.
+    /// A triangle, hit from both sides.
     Triangle {
         /// One corner.
         corner: Vector3,
-        /// To the other two corners.
+        /// Vectors from it to the other two corners.
         edges: [Vector3; 2],
     },
     /// An upright cylinder with flat ends.
     Cylinder {
-        /// Middle of its lower end.
+        /// Centre of its lower end.
         base: Vector3,
         /// Metres.
         radius: f64,
@@ -72,16 +72,16 @@ pub enum Body {
     },
 }
 
-/// A body of some material.
+/// A body and its material.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Solid {
-    /// Where.
+    /// Its geometry.
     pub body: Body,
-    /// Of what.
+    /// Its material.
     pub material: Material,
 }
 
-/// A box along the axes that contains something.
+/// An axis-aligned bounding box.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
     /// Smallest coordinates.
@@ -91,13 +91,13 @@ pub struct Bounds {
 }
 
 impl Bounds {
-    /// Contains nothing.
+    /// The box that contains nothing.
     pub const fn empty() -> Self {
         let inf = f64::INFINITY;
         Self { min: Vector3::new(inf, inf, inf), max: Vector3::new(-inf, -inf, -inf) }
     }
 
-    /// The smallest that contains both.
+    /// The smallest box that contains both.
     pub fn union(&self, other: &Self) -> Self {
         Self { min: self.min.inf(&other.min), max: self.max.sup(&other.max) }
     }
@@ -115,7 +115,7 @@ impl Bounds {
 }
 
 impl Body {
-    /// The box along the axes around it.
+    /// Its axis-aligned bounding box.
     pub fn bounds(&self) -> Bounds {
         let around = |centre: Vector3, half: Vector3| Bounds { min: centre - half, max: centre + half };
         match *self {
@@ -135,7 +135,7 @@ impl Body {
         }
     }
 
-    /// Distance at which a ray meets it and the normal there, if that is nearer than `limit`.
+    /// Range at which a ray hits it, and the normal there; none if the range is not below `limit`, metres.
     pub fn meet(&self, ray: &Ray3, limit: f64) -> Option<(f64, Vector3)> {
         let (range, normal) = match self {
             Self::Box { centre, half, turn } => meet_box(ray, centre, half, *turn)?,
@@ -175,7 +175,7 @@ fn meet_box(ray: &Ray3, centre: &Vector3, half: &Vector3, [c, s]: [f64; 2]) -> O
     Some((enter, Vector3::new(c * normal.x - s * normal.y, s * normal.x + c * normal.y, normal.z)))
 }
 
-/// Möller and Trumbore, "Fast, minimum storage ray/triangle intersection", 1997.
+/// Intersection by Möller and Trumbore, "Fast, minimum storage ray/triangle intersection", 1997.
 fn meet_triangle(ray: &Ray3, corner: &Vector3, [first, second]: &[Vector3; 2]) -> Option<(f64, Vector3)> {
     let p = ray.direction.cross(second);
     let determinant = first.dot(&p);
@@ -217,7 +217,7 @@ fn meet_cylinder(ray: &Ray3, base: &Vector3, radius: f64, height: f64) -> Option
             ));
         }
     }
-    // An end: from above or from below.
+    // A flat end, hit from above or from below.
     let end = if d.z < 0.0 { height } else { 0.0 };
     if d.z == 0.0 {
         return None;

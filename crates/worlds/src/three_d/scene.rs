@@ -19,7 +19,7 @@ pub enum Scene3d {
     Garage,
     /// Hills, trees and winding paths: driven or walked under the open sky.
     Park,
-    /// A long smooth tunnel with a slight bend, in which a lidar sees no end from the middle: driven.
+    /// A long smooth tunnel with a slight bend, from whose middle a lidar sees neither end: driven.
     Tunnel,
     /// Open, nearly flat ground with next to nothing on it: driven.
     Field,
@@ -40,7 +40,7 @@ impl Scene3d {
         }
     }
 
-    /// Width and depth of the ground (length and width of the tunnel), metres, where nothing else is asked for.
+    /// Default width and depth of the ground (length and width of the tunnel), metres.
     pub fn default_size(self) -> [f64; 2] {
         match self {
             Self::Museum => [34.0, 24.0],
@@ -51,7 +51,7 @@ impl Scene3d {
         }
     }
 
-    /// The smallest that can be drawn, metres.
+    /// Smallest size that can be drawn, metres.
     pub fn minimum_size(self) -> [f64; 2] {
         match self {
             Self::Museum => [22.0, 19.0],
@@ -62,7 +62,7 @@ impl Scene3d {
         }
     }
 
-    /// Storeys or decks.
+    /// Default number of storeys or decks.
     pub fn default_storeys(self) -> usize {
         match self {
             Self::Museum | Self::Garage => 3,
@@ -70,7 +70,7 @@ impl Scene3d {
         }
     }
 
-    /// People who walk about, where no number is asked for.
+    /// Default number of people who walk about.
     pub fn default_people(self) -> usize {
         match self {
             Self::Museum => 12,
@@ -80,7 +80,7 @@ impl Scene3d {
         }
     }
 
-    /// Draws such surroundings; the same seed gives the same.
+    /// Draws such surroundings; the same seed gives the same plan.
     pub fn draw(self, style: &SolidStyle, seed: u64) -> SolidPlan {
         match self {
             Self::Museum => draw_museum(style, seed),

@@ -1,17 +1,19 @@
-//! A stairwell: two flights a storey with a landing between them, the way up, and the walls around.
+//! A stairwell: two flights per storey with a landing between them, the path up, and the walls around.
 
 use portolan_geometry::Vector3;
 
 use super::draft::SolidDraft;
 use crate::two_d::Material;
 
-/// Height and depth of a step, metres.
+/// Height of a step, metres.
 const RISE: f64 = 0.15;
+/// Depth of a step, metres.
 const RUN: f64 = 0.28;
-/// Depth of a landing and width of a flight, metres.
+/// Depth of a landing, metres.
 const LANDING: f64 = 1.6;
+/// Width of a flight, metres.
 const FLIGHT: f64 = 1.7;
-/// Between the flights.
+/// Gap between the flights, metres.
 const GAP: f64 = 0.2;
 const WALL: f64 = 0.3;
 /// Width of the well, metres.
@@ -20,10 +22,11 @@ const WIDTH: f64 = 2.0 * FLIGHT + GAP;
 /// A stairwell beside a wall that runs along y.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Stairwell {
-    /// Where the wall's outer face is, and to which side of it the well is (1 or −1).
+    /// Coordinate along x of the outer face of the wall.
     pub wall_x: f64,
+    /// Side of the wall on which the well is: 1 or −1.
     pub side: f64,
-    /// Where the well begins along y.
+    /// Coordinate along y at which the well begins.
     pub start_y: f64,
     /// Height of a storey, metres: an even number of steps.
     pub storey: f64,
@@ -31,12 +34,12 @@ pub(super) struct Stairwell {
 }
 
 impl Stairwell {
-    /// Length of a well along y for storeys of a height.
+    /// Length of a well along y for storeys of this height.
     pub fn length(storey: f64) -> f64 {
         2.0 * LANDING + Self::flight_length(storey)
     }
 
-    /// Height of a storey for about this height.
+    /// The height nearest to this one that is an even number of steps.
     pub fn whole_storey(height: f64) -> f64 {
         2.0 * RISE * (height / (2.0 * RISE)).round()
     }
@@ -49,7 +52,7 @@ impl Stairwell {
         Self::steps(storey) as f64 * RUN
     }
 
-    /// Where along y its doors are.
+    /// Coordinate along y of its doors.
     pub fn door_y(&self) -> f64 {
         self.start_y + 0.5 * LANDING
     }
@@ -109,7 +112,7 @@ impl Stairwell {
         }
     }
 
-    /// The way from the door on storey `from` to the door on storey `from` + 1.
+    /// The path from the door on storey `from` to the door on storey `from` + 1.
     pub fn way_up(&self, from: usize) -> Vec<Vector3> {
         let (low, high) = (from as f64 * self.storey, (from + 1) as f64 * self.storey);
         let (first, second) = (0.5 * FLIGHT, WIDTH - 0.5 * FLIGHT);

@@ -1,4 +1,4 @@
-//! Ground outside: smooth hills from waves of random direction, flat where something is built.
+//! Ground outdoors: smooth hills from waves of random direction, flat where something is built.
 
 use portolan_geometry::Vector3;
 
@@ -7,7 +7,7 @@ use super::primitive::Body;
 use crate::random::Random;
 use crate::two_d::Material;
 
-/// A wave: its vector (radians a metre), phase and height (metres).
+/// A wave: its vector (radians per metre), phase and height (metres).
 #[derive(Clone, Copy, Debug)]
 struct Wave {
     k: [f64; 2],
@@ -20,7 +20,7 @@ struct Wave {
 pub struct Terrain {
     level: f64,
     waves: Vec<Wave>,
-    /// Built-up rectangle `[x0, y0, x1, y1]`: flat there, and full hills `fade` metres away.
+    /// Built-up rectangle `[x0, y0, x1, y1]`: flat there; hills have their full height `fade` metres away.
     flat: [f64; 4],
     fade: f64,
 }
@@ -53,7 +53,7 @@ impl Terrain {
         self.level + share * hills
     }
 
-    /// The point of the ground at a place.
+    /// The point of the ground at x, y.
     pub fn point(&self, x: f64, y: f64) -> Vector3 {
         Vector3::new(x, y, self.height(x, y))
     }

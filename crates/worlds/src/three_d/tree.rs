@@ -1,4 +1,4 @@
-//! Trees: a trunk and a crown of many leaves, which a beam may pass between.
+//! Trees: a trunk and a crown of many leaves, between which a beam may pass.
 
 use portolan_geometry::Vector3;
 

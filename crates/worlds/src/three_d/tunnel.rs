@@ -8,18 +8,19 @@ use super::draft::SolidDraft;
 use crate::random::Random;
 use crate::two_d::Material;
 
-/// Length of the flat pieces that walls are made of, metres. On the narrowest bend they leave the arc by 4 mm.
+/// Length of the flat pieces of the walls, metres. On the narrowest bend they deviate from the arc by 4 mm.
 const PIECE: f64 = 4.0;
-/// Radius of the bend, metres.
+/// Smallest and largest radius of the bend, metres.
 const RADIUS: [f64; 2] = [500.0, 900.0];
-/// Things stand within so many metres of an end.
+/// Maximum distance of objects from an end, metres.
 const END: f64 = 14.0;
-/// Ways end so far from the ends, metres.
+/// Distance from the ends at which paths turn back, metres.
 const TURNING_PLACE: f64 = 7.0;
-/// From the middle of the floor to where one drives, as a fraction of the width, and on how many metres one gets there.
+/// Distance of the lane that is driven from the middle of the floor, as a fraction of the width.
 const LANE: f64 = 0.2;
+/// Distance along the tunnel over which the lane is reached from the middle, metres.
 const MERGING: f64 = 12.0;
-/// From one landmark to the next, metres.
+/// Distance between landmarks, metres.
 const MARK_SPACING: f64 = 50.0;
 
 /// The line along the middle of the floor: an arc.
@@ -30,7 +31,7 @@ struct Line {
 }
 
 impl Line {
-    /// The direction so many metres from the beginning: cosine and sine.
+    /// Cosine and sine of the direction `along` metres from the beginning.
     fn direction(&self, along: f64) -> [f64; 2] {
         let (sine, cosine) = libm::sincos(self.curvature * (along - 0.5 * self.length));
         [cosine, sine]
@@ -43,7 +44,7 @@ impl Line {
         Vector3::new(0.5 * self.length + x - left * sine, y + left * cosine, up)
     }
 
-    /// From the middle on the right side to near an end, round, and back on the other side.
+    /// Path from the middle on the right side to near an end, around, and back on the other side.
     fn way_to(&self, end: f64, width: f64) -> Vec<Vector3> {
         let middle = 0.5 * self.length;
         let (far, forward) = ((end - middle).abs(), (end - middle).signum());
@@ -66,7 +67,7 @@ impl Line {
     }
 }
 
-/// Draws a tunnel as long as the world is wide, and as wide as that is deep.
+/// Draws a tunnel; its length is the width of the world, and its width the depth of the world.
 pub(crate) fn draw_tunnel(style: &SolidStyle, seed: u64) -> SolidPlan {
     let mut random = Random::new(seed, "tunnel", 0);
     let [length, width] = style.size;
@@ -124,7 +125,7 @@ fn draw_lining(draft: &mut SolidDraft, line: &Line, width: f64, height: f64) {
     }
 }
 
-/// The wall at an end, and what stands before it along the sides.
+/// The wall at an end, and objects before it along the sides.
 fn draw_end(
     draft: &mut SolidDraft,
     line: &Line,

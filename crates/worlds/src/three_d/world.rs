@@ -1,5 +1,5 @@
-//! A world with people in it, and how a beam comes back: panes are passed or seen by chance, mirrors
-//! show what is not there.
+//! A world with people, and the returns of beams: panes give a return or are passed at random, and mirrors
+//! show mirror images.
 
 use portolan_geometry::Vector3;
 
@@ -9,11 +9,11 @@ use super::primitive::{Hit3, Ray3, Solid};
 use crate::random::Random;
 use crate::two_d::Material;
 
-/// After so many panes and mirrors a beam is lost.
+/// Maximum number of surfaces that a beam hits; a beam that passes as many panes and mirrors has no return.
 const MAX_SURFACES: usize = 8;
-/// Fraction of light that a mirror throws on.
+/// Fraction of light that a mirror reflects.
 const MIRROR_SHARE: f64 = 0.9;
-/// Fraction of light that comes through a pane and back.
+/// Fraction of light that passes a pane, there and back.
 const PANE_SHARE: f64 = 0.8;
 
 /// Fixed solids and people who walk.
@@ -23,37 +23,37 @@ pub struct SolidWorld {
     people: Vec<Pedestrian>,
 }
 
-/// What comes back from a beam.
+/// Return of a beam.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Echo {
-    /// Length of the way of the light, one way, metres.
+    /// Length of the path of the light, one way, metres.
     pub range: f64,
-    /// Cosine of the angle between beam and normal where it was thrown back, in [0, 1].
+    /// Cosine of the angle between beam and normal at the surface that scattered it back, in [0, 1].
     pub cosine: f64,
-    /// Fraction of the light that is scattered back there, lessened by panes and mirrors on the way.
+    /// Fraction of the light that is scattered back there, reduced by panes and mirrors on the path.
     pub albedo: f64,
-    /// Of what the surface is.
+    /// Material of the surface.
     pub material: Material,
 }
 
-/// The people near a place during a short time.
+/// The people near a position during a short time.
 #[derive(Clone, Debug, Default)]
 pub struct Moment {
     walkers: Vec<Walker>,
 }
 
 impl SolidWorld {
-    /// Puts solids into a hierarchy.
+    /// Builds the hierarchy of the solids.
     pub fn new(solids: Vec<Solid>, people: Vec<Pedestrian>) -> Self {
         Self { fixed: Hierarchy::new(solids), people }
     }
 
-    /// Everything that does not move.
+    /// All fixed solids.
     pub fn fixed(&self) -> &Hierarchy {
         &self.fixed
     }
 
-    /// Those who walk.
+    /// The people who walk.
     pub fn people(&self) -> &[Pedestrian] {
         &self.people
     }
@@ -64,8 +64,8 @@ impl SolidWorld {
         Moment { walkers: walkers.filter(|walker| walker.is_within(place, reach + 2.0)).collect() }
     }
 
-    /// The first surface on the way of a beam, whatever it is made of; `share` is the part of the moment
-    /// that has passed, 0 to 1.
+    /// The first surface that a beam hits, of any material; `share` is the fraction of the moment that has
+    /// passed, 0 to 1.
     pub fn cast(&self, ray: &Ray3, limit: f64, moment: &Moment, share: f64) -> Option<Hit3> {
         let mut nearest = self.fixed.cast(ray, limit);
         for walker in &moment.walkers {
@@ -77,9 +77,9 @@ impl SolidWorld {
         nearest
     }
 
-    /// What comes back from a beam that is seen up to `limit` metres. Panes come back by chance if
-    /// there is one, rather where they are met head on, and are passed otherwise; mirrors throw the
-    /// beam on, and what it meets then seems to be behind them.
+    /// The return of a beam within `limit` metres. With `chance`, panes give a return at random, most
+    /// likely at normal incidence, and are passed otherwise; without it they are always passed. Mirrors
+    /// reflect the beam, and the surface that it then hits seems to be behind them.
     pub fn echo(
         &self,
         ray: &Ray3,
@@ -119,7 +119,8 @@ impl SolidWorld {
     }
 }
 
-/// Probability that a pane is seen: dust everywhere, and its own reflection where it is met head on.
+/// Probability that a pane gives a return: by dust at any angle, and by its own reflection near normal
+/// incidence.
 fn pane_return(cosine: f64) -> f64 {
     let c4 = cosine * cosine * cosine * cosine;
     let c16 = c4 * c4 * c4 * c4;

@@ -1,4 +1,4 @@
-//! Where a robot fits: distance to the nearest surface on a grid, reachable cells, shortest ways.
+//! Free space of a robot: distance to the nearest surface on a grid, reachable cells, shortest paths.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -7,18 +7,18 @@ use portolan_geometry::Vector2;
 
 use super::shape::Shape;
 
-/// Larger distances to surfaces are not distinguished, metres.
+/// Distance to surfaces above which distances are not distinguished, metres.
 const FAR: f64 = 1.0;
-/// Ways keep this distance where there is room, metres.
+/// Distance from surfaces that paths keep where there is room, metres.
 const COMFORTABLE: f64 = 0.6;
-/// Costs are counted in tenths of a millimetre, so that sums do not depend on rounding.
+/// Cost of a metre: costs are integers in tenths of a millimetre, so that sums do not depend on rounding.
 const COST_PER_METRE: f64 = 10_000.0;
-/// Cells grow where there would be more of them along one side.
+/// Maximum number of cells along a side; cells are larger where there would be more.
 const MAX_CELLS_A_SIDE: f64 = 4000.0;
 const UNREACHED: u32 = u32::MAX;
 const STEPS: [(i32, i32); 8] = [(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)];
 
-/// Distance to the nearest surface, and ways that keep clear of surfaces.
+/// Distance to the nearest surface, and paths that keep clear of surfaces.
 #[derive(Clone, Debug)]
 pub struct ClearanceGrid {
     minimum: Vector2,
@@ -78,7 +78,7 @@ impl ClearanceGrid {
     }
 
     /// Distance from the cell around `point` to the nearest surface, metres, at most about 1; negative
-    /// in round things, 0 outside.
+    /// inside circles, 0 outside the grid.
     pub fn clearance(&self, point: &Vector2) -> f64 {
         self.cell_of(point).map_or(0.0, |index| f64::from(self.distances[index]))
     }
@@ -87,7 +87,7 @@ impl ClearanceGrid {
         self.distances[index] >= self.needed
     }
 
-    /// Cost of the shortest ways from `start` to every cell.
+    /// Costs of the shortest paths from `start` to every cell.
     pub fn distances_from(&self, start: &Vector2) -> WayCosts {
         let mut search = WaySearch::new(self);
         if let Some(start) = self.cell_of(start) {
@@ -96,8 +96,8 @@ impl ClearanceGrid {
         WayCosts { costs: search.costs }
     }
 
-    /// The cell within `radius` metres of `point` with the most room around it, among those that can
-    /// be reached; nearness to `point` decides between equals.
+    /// The reachable cell within `radius` metres of `point` with the most room around it. Its distance from
+    /// `point` is a penalty of up to 0.25 m of room.
     pub fn roomiest(&self, point: &Vector2, radius: f64, reachable: &WayCosts) -> Option<Vector2> {
         let reach = Vector2::new(radius, radius);
         let (first_column, first_row) = self.clamped_cell(&(point - reach));
@@ -133,7 +133,7 @@ impl ClearanceGrid {
             .min_by(|a, b| (a - point).norm_squared().total_cmp(&(b - point).norm_squared()))
     }
 
-    /// Never more than the true cost.
+    /// Estimated cost to the goal, never more than the true cost; 0 without a goal.
     fn estimate(&self, index: usize, goal: Option<usize>) -> u32 {
         let Some(goal) = goal else { return 0 };
         let dx = (index % self.columns).abs_diff(goal % self.columns) as f64;
@@ -142,7 +142,8 @@ impl ClearanceGrid {
         (straight * self.cell_size * COST_PER_METRE * 0.999) as u32
     }
 
-    /// Free cells around, with the cost of the step: its length, up to four times that near surfaces.
+    /// Free cells around a cell, with the cost of the step: its length, up to four times as much near
+    /// surfaces.
     fn neighbours(&self, index: usize) -> impl Iterator<Item = (usize, u32)> + '_ {
         let (column, row) = ((index % self.columns) as i32, (index / self.columns) as i32);
         STEPS.iter().filter_map(move |(dx, dy)| {
@@ -161,8 +162,8 @@ impl ClearanceGrid {
         })
     }
 
-    /// Leaves out corners wherever the straight line is comfortable, or as roomy as the way it
-    /// replaces.
+    /// Leaves out corners where the straight line keeps a comfortable distance from surfaces, or at least
+    /// that of the path that it replaces.
     fn straighten(&self, points: &[Vector2]) -> Vec<Vector2> {
         let mut kept = vec![points[0]];
         let mut anchor = 0;
@@ -181,7 +182,7 @@ impl ClearanceGrid {
         kept
     }
 
-    /// The least clearance along a straight line.
+    /// Minimum clearance along a straight line, metres.
     fn tightest_between(&self, from: &Vector2, to: &Vector2) -> f64 {
         let steps = ((to - from).norm() / (0.5 * self.cell_size)).ceil().max(1.0) as usize;
         (0..=steps)
@@ -190,13 +191,13 @@ impl ClearanceGrid {
     }
 }
 
-/// Finds ways on a clearance grid, one after the other, in the same memory.
+/// Finds paths on a clearance grid, one after the other, in the same memory.
 #[derive(Clone, Debug)]
 pub struct WaySearch<'a> {
     grid: &'a ClearanceGrid,
     costs: Vec<u32>,
     previous: Vec<u32>,
-    /// Cells to be cleaned before the next search.
+    /// Cells to be reset before the next search.
     touched: Vec<u32>,
 }
 
@@ -207,8 +208,8 @@ impl<'a> WaySearch<'a> {
         Self { grid, costs: vec![UNREACHED; cells], previous: vec![UNREACHED; cells], touched: Vec::new() }
     }
 
-    /// A way from `start` to `goal` that keeps clear of surfaces, as few corners as will do, both
-    /// ends included; none where there is no way.
+    /// A path from `start` to `goal` that keeps clear of surfaces and has few corners, both ends included;
+    /// none if there is no path.
     pub fn way(&mut self, start: &Vector2, goal: &Vector2) -> Option<Vec<Vector2>> {
         let (from, to) = (self.grid.cell_of(start)?, self.grid.cell_of(goal)?);
         self.run(from, Some(to));
@@ -268,14 +269,15 @@ impl<'a> WaySearch<'a> {
     }
 }
 
-/// How far every cell is from one start.
+/// Costs of the shortest paths from one start to every cell.
 #[derive(Clone, Debug)]
 pub struct WayCosts {
     costs: Vec<u32>,
 }
 
 impl WayCosts {
-    /// Metres to the cell around `point`, tight spots counting more; none if it cannot be reached.
+    /// Length of the path to the cell around `point`, metres, in which narrow places count more; none if
+    /// the cell cannot be reached.
     pub fn metres_to(&self, grid: &ClearanceGrid, point: &Vector2) -> Option<f64> {
         let cost = *self.costs.get(grid.cell_of(point)?)?;
         (cost != UNREACHED).then(|| f64::from(cost) / COST_PER_METRE)

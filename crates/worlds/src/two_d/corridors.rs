@@ -1,4 +1,4 @@
-//! A ring of smooth corridor without doors: along its sides a lidar cannot tell where it is.
+//! A ring of smooth corridor without doors: along its sides a lidar does not constrain the position.
 
 use portolan_geometry::Vector2;
 

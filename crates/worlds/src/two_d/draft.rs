@@ -7,9 +7,9 @@ use super::shape::{Material, Shape};
 /// A gap in a wall, metres from its start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Opening {
-    /// Where it begins.
+    /// Its beginning.
     pub from: f64,
-    /// Where it ends.
+    /// Its end.
     pub to: f64,
 }
 
@@ -53,14 +53,14 @@ impl Rect {
     }
 }
 
-/// A drawing in the making.
+/// A floor plan that is being drawn.
 #[derive(Clone, Debug, Default)]
 pub struct Draft {
     shapes: Vec<Shape>,
 }
 
 impl Draft {
-    /// An empty drawing.
+    /// An empty plan.
     pub fn new() -> Self {
         Self::default()
     }
@@ -90,7 +90,7 @@ impl Draft {
         self.solid_box((low + high) * 0.5, high - low, Vector2::x(), material);
     }
 
-    /// A pillar, pot or leg.
+    /// A circle: a pillar, pot or leg.
     pub fn circle(&mut self, centre: Vector2, radius: f64, material: Material) {
         self.shapes.push(Shape::circle(centre, radius, material));
     }
@@ -129,7 +129,7 @@ impl Draft {
     }
 }
 
-/// What is left of `0..length` between the openings.
+/// The parts of `0..length` between the openings.
 fn solid_pieces(length: f64, openings: &[Opening]) -> Vec<(f64, f64)> {
     let mut sorted = openings.to_vec();
     sorted.sort_by(|a, b| a.from.total_cmp(&b.from));

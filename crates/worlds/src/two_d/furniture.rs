@@ -1,4 +1,4 @@
-//! Furniture as a lidar sees it a hand above the floor: mostly legs.
+//! Furniture in the plane of a lidar, a hand's width above the floor: mostly legs.
 
 use portolan_geometry::Vector2;
 
@@ -15,7 +15,7 @@ pub(crate) struct Frame {
 }
 
 impl Frame {
-    /// From coordinates in this frame to the map.
+    /// The point in the map with these coordinates in the frame.
     pub fn point(&self, u: f64, v: f64) -> Vector2 {
         self.origin + self.u_axis * u + self.v_axis * v
     }
@@ -31,7 +31,7 @@ pub(crate) struct Furnisher<'a> {
     pub draft: &'a mut Draft,
     pub random: &'a mut Random,
     pub frame: Frame,
-    /// Inside of the walls, in the frame.
+    /// Area inside the walls, in the frame.
     pub inside: Rect,
     taken: Vec<Rect>,
 }
@@ -68,7 +68,7 @@ impl<'a> Furnisher<'a> {
         is_free
     }
 
-    /// Something round, if its place is free.
+    /// A circle, if its area is free.
     pub fn try_circle(&mut self, u: f64, v: f64, radius: f64, material: Material) -> bool {
         let is_free = self.claim(Rect::new(u - radius, v - radius, u + radius, v + radius));
         if is_free {

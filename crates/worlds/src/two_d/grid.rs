@@ -7,17 +7,17 @@ use portolan_geometry::Vector2;
 
 use super::shape::{Hit, Material, Outline, Ray, Shape, cross};
 
-/// How many panes in front of a solid hit are reported; further ones count as perfectly clear.
+/// Maximum number of panes that are reported before a solid hit; further ones count as perfectly clear.
 const MAX_PANES: usize = 6;
 
-/// Cells grow where there would be more of them than this.
+/// Maximum number of cells; cells are larger where there would be more.
 const MAX_CELLS: f64 = 4e6;
 
-/// Shapes count as inside a cell when they come this near, so that rounding along cell borders loses
-/// no hit. Metres.
+/// Distance from a cell up to which shapes count as inside it, metres, so that no hit is lost by rounding
+/// along cell borders.
 const BORDER: f64 = 1e-6;
 
-/// What a ray meets: at most one solid surface, and the panes before it in ascending order of range.
+/// Hits of a ray: at most one solid surface, and the panes before it in ascending order of range.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Crossings {
     /// The nearest surface that is not glass.
@@ -32,7 +32,7 @@ impl Crossings {
         self.panes.iter().map_while(|pane| *pane).take_while(move |pane| pane.range < limit)
     }
 
-    /// Takes a hit into account. The same pane may come again from another cell.
+    /// Adds a hit. The same pane may be hit again from another cell.
     fn add(&mut self, hit: Hit) {
         if hit.material != Material::Glass {
             if self.solid.is_none_or(|solid| hit.range < solid.range) {
@@ -61,7 +61,7 @@ pub struct ShapeGrid {
     cell_size: f64,
     columns: usize,
     rows: usize,
-    /// Where the shapes of a cell start in `members`; one more than there are cells.
+    /// Index in `members` at which the shapes of a cell start; one entry more than there are cells.
     starts: Vec<u32>,
     members: Vec<u32>,
     shapes: Vec<Shape>,
@@ -92,7 +92,7 @@ impl ShapeGrid {
         &self.shapes
     }
 
-    /// Lower left and upper right corner of everything, metres.
+    /// Lower left and upper right corner of the grid, metres.
     pub fn bounds(&self) -> (Vector2, Vector2) {
         let size = Vector2::new(self.columns as f64, self.rows as f64) * self.cell_size;
         (self.minimum, self.minimum + size)
@@ -142,7 +142,7 @@ impl ShapeGrid {
         }
     }
 
-    /// What the ray meets up to `max_range` metres.
+    /// The hits of a ray up to `max_range` metres.
     pub fn cast(&self, ray: &Ray, max_range: f64) -> Crossings {
         let mut found = Crossings::default();
         let Some((entry, exit)) = self.clip(ray) else { return found };
@@ -178,7 +178,7 @@ impl ShapeGrid {
         }
     }
 
-    /// Where the ray enters and leaves the grid, metres along it.
+    /// Ranges at which the ray enters and leaves the grid, metres; none if it misses the grid.
     fn clip(&self, ray: &Ray) -> Option<(f64, f64)> {
         let (low, high) = self.bounds();
         let (mut entry, mut exit) = (0.0_f64, f64::INFINITY);
@@ -200,9 +200,9 @@ impl ShapeGrid {
 
 /// Progress of a ray along one axis of the grid.
 struct Axis {
-    /// Where the ray leaves the present cell, metres along the ray.
+    /// Range at which the ray leaves the current cell, metres.
     next: f64,
-    /// Metres along the ray per cell.
+    /// Distance along the ray per cell, metres.
     step: f64,
     forward: bool,
 }

@@ -51,7 +51,7 @@ fn draw_outer_walls(draft: &mut Draft, size: Vector2, glass: f64, random: &mut R
     }
 }
 
-/// Junctions in a grid, about 11 m apart, each a little off its place.
+/// Junctions in a grid, about 11 m apart, each with a small random offset.
 fn add_junctions(plan: &mut FloorPlan, random: &mut Random) -> (usize, usize) {
     let columns = (plan.size.x / 11.0).round().max(2.0) as usize;
     let rows = (plan.size.y / 11.0).round().max(2.0) as usize;
@@ -71,7 +71,7 @@ fn add_junctions(plan: &mut FloorPlan, random: &mut Random) -> (usize, usize) {
     (columns, rows)
 }
 
-/// Pillars at the corners of the bays: round or square throughout.
+/// Pillars at the corners of the bays: all round or all square.
 fn draw_pillars(furnisher: &mut Furnisher<'_>, bays: Vector2, columns: usize, rows: usize) {
     let is_round = furnisher.random.chance(0.5);
     for column in 1..columns {
@@ -86,7 +86,7 @@ fn draw_pillars(furnisher: &mut Furnisher<'_>, bays: Vector2, columns: usize, ro
     }
 }
 
-/// Kiosks, benches, planters and litter bins, as many as suit the area.
+/// Kiosks, benches, planters and litter bins, in number proportional to the area.
 fn draw_things(furnisher: &mut Furnisher<'_>, size: Vector2, clutter: f64) {
     let tries = (size.x * size.y / 55.0 * clutter) as usize;
     for _ in 0..tries {

@@ -1,4 +1,4 @@
-//! The world: what is fixed in it, who walks in it, and what a beam meets.
+//! Worlds in 2D: fixed surfaces, people who walk, and ray casting.
 
 mod clearance;
 mod corridors;
@@ -36,12 +36,12 @@ impl World {
         Self { fixed: ShapeGrid::new(shapes, CAST_CELL), people }
     }
 
-    /// Everything that does not move.
+    /// All fixed surfaces.
     pub fn fixed(&self) -> &ShapeGrid {
         &self.fixed
     }
 
-    /// Those who walk.
+    /// The people who walk.
     pub fn people(&self) -> &[Person] {
         &self.people
     }

@@ -32,7 +32,7 @@ struct Layout {
 
 /// A row of rooms side by side along a corridor.
 struct Strip {
-    /// v = 0 on the corridor wall, u from 0 to `length`.
+    /// Frame with v = 0 on the corridor wall and u from 0 to `length`.
     frame: Frame,
     length: f64,
     depth: f64,
@@ -41,13 +41,13 @@ struct Strip {
     corridor: Corridor,
 }
 
-/// The floor while it is drawn.
+/// The floor that is being drawn.
 struct Office<'a> {
     style: &'a PlanStyle,
     random: &'a mut Random,
     draft: Draft,
     plan: FloorPlan,
-    /// Room, corridor, and where along the corridor its door is.
+    /// Room, corridor, and position of its door along the corridor, metres.
     doors: Vec<(usize, Corridor, f64)>,
 }
 
@@ -121,8 +121,8 @@ impl Layout {
     }
 }
 
-/// Corridors of the given width between `low` and `high`: one at each end and more in between, so
-/// that about `block` metres, and at least `least_blocks` blocks, lie between them.
+/// Corridors of the given width between `low` and `high`: one at each end and more in between, so that
+/// blocks of about `block` metres, at least `least_blocks` of them, are between the corridors.
 fn corridors_across(
     low: f64,
     high: f64,
@@ -256,7 +256,7 @@ impl Office<'_> {
         self.furnish_corridor(strip, &openings);
     }
 
-    /// Where rooms begin and end along the strip; the first and last take what has no corridor.
+    /// Borders of the rooms along the strip; the first and last room include the parts without a corridor.
     fn room_borders(&mut self, strip: &Strip, scale: f64) -> Vec<f64> {
         let available = strip.front.1 - strip.front.0;
         let mut widths = Vec::new();

@@ -8,30 +8,30 @@ use super::shape::{Hit, Material, Ray, Shape, cross};
 const LEG_RADIUS: f64 = 0.065;
 /// Distance of a leg from the middle of the body, to the side, metres.
 const HALF_STANCE: f64 = 0.11;
-/// How far a foot swings ahead of the body, metres.
+/// Amplitude of the swing of a foot ahead of the body and back, metres.
 const SWING: f64 = 0.28;
-/// Metres per full cycle of steps.
+/// Length of a full cycle of steps, metres.
 const STRIDE: f64 = 1.35;
-/// Radius around the middle of the body that holds both legs, metres.
+/// Radius around the middle of the body that contains both legs, metres.
 const PERSON_RADIUS: f64 = 0.4;
-/// People keep about this far from the middle of the robot, metres.
+/// Approximate distance that people keep from the middle of the robot, metres.
 const KEEP_CLEAR: f64 = 0.75;
-/// Within this distance of the robot people step aside, metres.
+/// Distance from the robot below which people step aside, metres.
 const NOTICE: f64 = 2.5;
 
-/// Somebody walking along a polyline to its end and back, for ever.
+/// A person who walks along a polyline to its end and back, without end.
 #[derive(Clone, Debug)]
 pub struct Person {
     corners: Vec<Vector2>,
-    /// Metres from the start to each corner.
+    /// Distance from the start to each corner, metres.
     distances: Vec<f64>,
     speed: f64,
     head_start: f64,
 }
 
 impl Person {
-    /// Walks along `corners` with `speed` m/s, at time 0 `head_start` metres from the first corner.
-    /// A single corner stands still; there must be at least one.
+    /// A person who walks along `corners` at `speed` m/s, at time 0 `head_start` metres from the first
+    /// corner. With a single corner the person stands still; none without corners.
     pub fn new(corners: Vec<Vector2>, speed: f64, head_start: f64) -> Option<Self> {
         let mut distances = vec![0.0];
         let mut total = 0.0;
@@ -42,7 +42,7 @@ impl Person {
         (!corners.is_empty()).then_some(Self { corners, distances, speed, head_start })
     }
 
-    /// Middle of the body and walking direction, if nobody were in the way.
+    /// Middle of the body and walking direction without stepping aside.
     fn undisturbed(&self, time: f64) -> (Vector2, Vector2) {
         let total = self.distances.last().copied().unwrap_or(0.0);
         if total <= 0.0 {
@@ -74,8 +74,8 @@ impl Person {
     }
 }
 
-/// Moves a person radially away from the robot; continuous in the distance, which grows from
-/// [`KEEP_CLEAR`] at 0 to [`NOTICE`] at [`NOTICE`].
+/// Moves a person radially away from the robot. The new distance is a continuous function of the old one,
+/// from [`KEEP_CLEAR`] at 0 to [`NOTICE`] at [`NOTICE`].
 fn step_aside((middle, direction): (Vector2, Vector2), robot: &Vector2) -> Vector2 {
     let away = middle - robot;
     let distance = away.norm();
@@ -91,18 +91,19 @@ fn step_aside((middle, direction): (Vector2, Vector2), robot: &Vector2) -> Vecto
 /// The people whom the beams of one scan may meet.
 #[derive(Clone, Debug, Default)]
 pub struct NearbyPeople<'a> {
-    /// Somebody, where they are in the middle of the scan, and how far from there a leg may be.
+    /// A person, the position in the middle of the scan, and the maximum distance of a leg from there,
+    /// metres.
     people: Vec<(&'a Person, Vector2, f64)>,
 }
 
 impl<'a> NearbyPeople<'a> {
-    /// People within `reach` metres of the robot, who is at `robot` at `time`, for beams fired at most
+    /// People within `reach` metres of the robot, which is at `robot` at `time`, for beams fired at most
     /// `half_sweep` seconds before or after.
     pub fn around(people: &'a [Person], time: f64, half_sweep: f64, robot: &Vector2, reach: f64) -> Self {
         let near = people.iter().filter_map(|person| {
             let position = person.position(time, robot);
             let distance = (position - robot).norm();
-            // Who is about to collide with the robot may step aside in any direction.
+            // A person about to collide with the robot may step aside in any direction.
             let moves = if distance < 2.0 * KEEP_CLEAR { f64::INFINITY } else { 3.0 * half_sweep };
             (distance < reach).then_some((person, position, PERSON_RADIUS + moves))
         });

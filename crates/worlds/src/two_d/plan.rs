@@ -16,9 +16,9 @@ pub enum Scene {
     /// An office floor: corridors that form loops, rooms with doors and furniture, glass fronts.
     #[default]
     Office,
-    /// One long loop of smooth corridor: nothing but the corners tells where one is.
+    /// One long loop of smooth corridor: only the corners constrain the position along it.
     Corridors,
-    /// A large hall with pillars and kiosks: most beams reach nothing.
+    /// A large hall with pillars and kiosks: most beams have no return.
     Hall,
     /// Rows of racks with pallets: aisles that look alike.
     Warehouse,
@@ -38,7 +38,7 @@ impl Scene {
         }
     }
 
-    /// Width and height of the floor, metres, where nothing else is asked for.
+    /// Default width and height of the floor, metres.
     pub fn default_size(self) -> [f64; 2] {
         match self {
             Self::Office => [40.0, 25.0],
@@ -58,7 +58,7 @@ impl Scene {
         }
     }
 
-    /// How many people walk about where nothing else is asked for.
+    /// Default number of people who walk about.
     pub fn default_people(self) -> usize {
         match self {
             Self::Office => 5,
@@ -86,31 +86,31 @@ impl FromStr for Scene {
     }
 }
 
-/// How a plan is drawn.
+/// Style of a plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanStyle {
     /// Width and height of the floor inside its outer walls, metres.
     pub size: [f64; 2],
     /// Fraction of doors that are closed, in [0, 1].
     pub closed_doors: f64,
-    /// How much stands about: 0 nothing, 1 as usual, 2 twice as likely.
+    /// Density of furniture and other objects: 0 none, 1 usual, 2 twice as likely.
     pub clutter: f64,
     /// Fraction of larger rooms with a glass front, in [0, 1].
     pub glass: f64,
 }
 
-/// Somewhere to go.
+/// A junction or a room.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Place {
-    /// For people, for example `room 12`.
+    /// Name for display, for example `room 12`.
     pub name: String,
     /// Metres in the map frame; furniture may stand there.
     pub position: Vector2,
-    /// Whether one goes in and comes back, instead of passing through.
+    /// Whether a tour enters it and comes back, instead of passing through.
     pub is_room: bool,
 }
 
-/// A way between two junctions, with the rooms along it.
+/// A passage between two junctions, with the rooms along it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Passage {
     /// Index of the place at one end.
@@ -121,24 +121,24 @@ pub struct Passage {
     pub rooms: Vec<usize>,
 }
 
-/// A floor with everything fixed that stands on it. The outer walls enclose (0, 0) to `size`.
+/// A floor with all fixed objects on it. The outer walls enclose (0, 0) to `size`.
 #[derive(Clone, Debug, Default)]
 pub struct FloorPlan {
     /// All surfaces.
     pub shapes: Vec<Shape>,
     /// Width and height, metres.
     pub size: Vector2,
-    /// Where one can go; some may turn out to be locked or blocked.
+    /// Places that a tour may visit; some may be locked or blocked.
     pub places: Vec<Place>,
-    /// How the junctions among the places are connected.
+    /// Connections of the junctions among the places.
     pub passages: Vec<Passage>,
 }
 
-/// Longest side of a floor, metres.
+/// Maximum length of a side of a floor, metres.
 const LONGEST_SIDE: f64 = 200.0;
 
 impl FloorPlan {
-    /// Checks sizes and indices of a plan from outside.
+    /// Checks sizes and indices of a plan given by the user.
     ///
     /// # Errors
     /// [`WorldError::BadPlan`] says what to change.

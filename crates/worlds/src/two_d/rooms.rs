@@ -1,4 +1,4 @@
-//! Rooms of an office floor: what stands in them.
+//! Rooms of an office floor: their doors and furniture.
 
 use portolan_geometry::Vector2;
 
@@ -7,7 +7,7 @@ use super::furniture::{Frame, Furnisher, Wall};
 use super::shape::Material;
 use crate::random::Random;
 
-/// What a room is for.
+/// Purpose of a room.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum RoomKind {
     Office,
@@ -16,14 +16,14 @@ pub(crate) enum RoomKind {
     Kitchen,
 }
 
-/// Where the door is, in the frame of the room.
+/// A door, in the frame of its room.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Door {
     /// Middle of the opening along the corridor wall.
     pub centre: f64,
     pub width: f64,
     pub is_closed: bool,
-    /// Hinges at the side of smaller u.
+    /// Whether the hinges are at the side of smaller u.
     pub hinged_left: bool,
 }
 
@@ -48,7 +48,7 @@ impl Room {
         self.frame.point(0.5 * self.width, 0.5 * self.depth)
     }
 
-    /// What kind suits the size.
+    /// A random kind of room that suits the width, metres.
     pub fn kind_for(width: f64, random: &mut Random) -> RoomKind {
         match width {
             w if w < 2.9 && random.chance(0.6) => RoomKind::Storage,
@@ -66,7 +66,7 @@ impl Room {
         let mut furnisher = Furnisher::new(draft, random, self.frame, inside);
         if let Some(door) = self.door {
             let half = 0.5 * door.width;
-            // The swing of the leaf, and the way from the door to the middle.
+            // The swing of the leaf, and the path from the door to the middle.
             let swing = door.width + 0.1;
             furnisher.reserve(Rect::new(door.centre - half - 0.1, 0.0, door.centre + half + 0.1, swing));
             furnisher.reserve(Rect::new(door.centre - 0.45, 0.0, door.centre + 0.45, 0.5 * self.depth));

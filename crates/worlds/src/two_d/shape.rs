@@ -1,8 +1,8 @@
-//! What beams meet: segments and circles, and what they are made of.
+//! Surfaces in 2D: segments and circles, with their materials.
 
 use portolan_geometry::Vector2;
 
-/// What a surface is made of: decides how much light comes back, and whether the beam passes.
+/// Material of a surface: determines how much light is scattered back, and whether beams pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Material {
     /// Painted walls and pillars.
@@ -13,13 +13,13 @@ pub enum Material {
     Furniture,
     /// Metal legs and frames.
     Metal,
-    /// Panes that beams pass, mostly.
+    /// Panes, which most beams pass.
     Glass,
     /// Clothes of people.
     Person,
     /// Floors, stairs and ramps.
     Floor,
-    /// What throws beams on.
+    /// Mirrors, which reflect beams.
     Mirror,
     /// Earth and grass.
     Ground,
@@ -65,14 +65,14 @@ impl Material {
     }
 }
 
-/// Where a surface is, metres in the map frame.
+/// Geometry of a surface, metres in the map frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Outline {
-    /// A straight piece from `start` to `start + along`.
+    /// A segment from `start` to `start + along`.
     Segment {
         /// One end.
         start: Vector2,
-        /// To the other end.
+        /// Vector to the other end.
         along: Vector2,
     },
     /// A full circle.
@@ -87,29 +87,29 @@ pub enum Outline {
 /// A surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shape {
-    /// Where.
+    /// Its geometry.
     pub outline: Outline,
-    /// Of what.
+    /// Its material.
     pub material: Material,
 }
 
-/// A half line.
+/// A ray: a half line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ray {
-    /// Where it starts, metres in the map frame.
+    /// Its start, metres in the map frame.
     pub origin: Vector2,
-    /// Unit vector.
+    /// Its direction, a unit vector.
     pub direction: Vector2,
 }
 
-/// Where a ray meets a surface.
+/// Hit of a ray on a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
-    /// Metres from the start of the ray.
+    /// Distance from the start of the ray, metres.
     pub range: f64,
     /// Cosine of the angle between ray and normal, in [0, 1].
     pub cos_incidence: f64,
-    /// Of what the surface is.
+    /// Material of the surface.
     pub material: Material,
 }
 
@@ -128,7 +128,7 @@ impl Shape {
         Self { outline: Outline::Circle { centre, radius }, material }
     }
 
-    /// The nearest point of the ray on the surface; rays parallel to a segment do not meet it.
+    /// The nearest hit of a ray on the surface; rays parallel to a segment do not hit it.
     pub fn intersect(&self, ray: &Ray) -> Option<Hit> {
         let (range, cos_incidence) = match self.outline {
             Outline::Segment { start, along } => intersect_segment(ray, &start, &along)?,

@@ -1,4 +1,4 @@
-//! What is wrong with a map.
+//! Finds faults of maps.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use portolan_pbstream::{FindingKind, PbstreamReader, ReadLimits, Severity as Map
 use super::Finding;
 use crate::error::CliError;
 
-/// Reads a whole map; one finding of each kind, with its count.
+/// Reads a whole map; returns one finding per kind and severity, with its count.
 pub fn check(path: &Path, input: Forward) -> Result<Vec<Finding>, CliError> {
     let length = input.length();
     let reader = PbstreamReader::from_source(input, length, ReadLimits::default());
@@ -46,7 +46,7 @@ pub fn check(path: &Path, input: Forward) -> Result<Vec<Finding>, CliError> {
     Ok(by_kind.into_iter().map(|(_, finding)| finding).collect())
 }
 
-/// What follows from a finding, and what to do.
+/// Effect of a finding, and advice.
 fn consequences(kind: FindingKind) -> (&'static str, &'static str) {
     const AGAIN: &str = "take an undamaged copy of the file if there is one, else `portolan repair`";
     match kind {

@@ -1,4 +1,4 @@
-//! Where in a map localisation would fail or take one place for another.
+//! Finds places of a map where localisation would fail or confuse one place with another.
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -13,10 +13,11 @@ use crate::error::CliError;
 use crate::output::counted;
 use crate::progress::Progress;
 
-/// Examines the places of a map, adds what was found to the findings, and draws it if that is wanted.
+/// Examines the places of a map, adds difficult ones to the findings, and draws a picture if `picture` is given.
 ///
 /// # Errors
-/// If a picture is wanted and cannot be made. A map that cannot be searched is a finding.
+/// If a picture is requested and the map cannot be examined or the picture cannot be written. Without a picture, a map
+/// that cannot be examined is a finding.
 pub fn check(
     path: &Path,
     picture: Option<&Path>,
@@ -38,7 +39,7 @@ pub fn check(
     Ok(Some(Places::of(&examined)))
 }
 
-/// Examines, with a line of progress.
+/// Examines the map and shows progress.
 fn examine(path: &Path, global: &GlobalArgs) -> Result<ExaminedMap, JobError> {
     let mut progress = Progress::start("searching places", 1, global.quiet);
     let examined = examine_map(path, global.threads, &mut |event| {
@@ -65,7 +66,7 @@ fn not_examined(error: &JobError) -> Finding {
     }
 }
 
-/// One finding for each kind of place where localisation has difficulties.
+/// One finding for each kind of difficult place.
 fn difficulties(examined: &ExaminedMap) -> Vec<Finding> {
     let all = examined.places.len() as u64;
     let found = examined
@@ -90,7 +91,7 @@ fn difficulties(examined: &ExaminedMap) -> Vec<Finding> {
         .collect()
 }
 
-/// What places of a kind are, what follows, and what to do.
+/// Description of a kind of place, its effect on localisation, and advice.
 fn words(kind: Distinctness) -> (&'static str, &'static str, &'static str) {
     match kind {
         Distinctness::Distinct => ("", "", ""),

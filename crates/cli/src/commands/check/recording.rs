@@ -1,4 +1,4 @@
-//! What is wrong with a recording.
+//! Finds faults of recordings.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use super::Finding;
 use crate::error::CliError;
 use crate::progress::Progress;
 
-/// Reads a whole recording; all findings, and the intervals between messages.
+/// Reads a whole recording; returns all findings, and histograms of the intervals between messages.
 pub fn check(path: &Path, quiet: bool) -> Result<(Vec<Finding>, Vec<String>), CliError> {
     let recording = open(path)?;
     let size = recording.size_bytes();

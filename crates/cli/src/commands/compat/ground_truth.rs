@@ -1,4 +1,4 @@
-//! `cartographer_autogenerate_ground_truth`.
+//! `cartographer_autogenerate_ground_truth`: makes relations from the loop closures of a map.
 
 use portolan_compat::{Flags, KnownFlags};
 use portolan_evaluation::{GenerateOptions, generate_relations, write_binary_relations};
@@ -9,7 +9,7 @@ use crate::commands::evaluate::generate::read_map_graph;
 use crate::error::{CliError, Outcome};
 use crate::output::write_file;
 
-/// Relations from the loop closures of a map.
+/// Writes relations from the loop closures of a map.
 pub fn run(arguments: &[String], _: &GlobalArgs) -> Result<Outcome, CliError> {
     let flags = Flags::parse(
         arguments,

@@ -1,17 +1,17 @@
-//! Lines of Cartographer's log.
+//! Prints lines in the format of Cartographer's log (glog).
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::commands::info::utc_parts;
 use crate::progress::say;
 
-/// A line of information on stderr, with the beginning that log readers expect:
+/// Prints a line of information on stderr, with the prefix that log readers expect:
 /// `I0203 04:05:06.000007 1234 portolan] text`.
 pub fn info(text: &str) {
     line('I', text);
 }
 
-/// A warning.
+/// Prints a warning.
 pub fn warning(text: &str) {
     line('W', text);
 }

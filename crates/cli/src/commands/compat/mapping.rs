@@ -1,4 +1,4 @@
-//! `cartographer_offline_node`: the map of bags, by `portolan map`.
+//! `cartographer_offline_node`: maps bags with `portolan map`.
 
 use std::path::{Path, PathBuf};
 
@@ -31,8 +31,8 @@ const FLAGS: KnownFlags = KnownFlags {
             -bag_filenames BAG,… [-load_state_filename MAP] [-save_state_filename MAP]",
 };
 
-/// Each bag becomes a trajectory, after those of the state. The bags are mapped one after another, each into
-/// the map of those before; Cartographer mixes them by time.
+/// Maps the bags: each becomes a trajectory, after those of the loaded state. The bags are mapped one after another, each
+/// into the map of those before; Cartographer merges their messages by time.
 pub fn run(arguments: &[String], global: &GlobalArgs) -> Result<Outcome, CliError> {
     let flags = Flags::parse(arguments, &FLAGS)?;
     let directory = flags.required("configuration_directory")?;
@@ -50,7 +50,7 @@ pub fn run(arguments: &[String], global: &GlobalArgs) -> Result<Outcome, CliErro
     let mut known = (!state.is_empty()).then(|| PathBuf::from(state));
     let frozen = count_frozen(&flags, known.as_deref())?;
     let parent = output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    // Beside the output, so that the map can be given its name without being copied.
+    // In the folder of the output, so that the map can be renamed without being copied.
     let folder = tempfile::Builder::new().prefix(".portolan-").tempdir_in(parent)?;
     let mut outcome = Outcome::Done;
     for (i, bag) in bags.iter().enumerate() {
@@ -60,13 +60,13 @@ pub fn run(arguments: &[String], global: &GlobalArgs) -> Result<Outcome, CliErro
         line.push(results.display().to_string());
         line.extend(of_bag(&flags, directory, i)?);
         if let Some(map) = &known {
-            // The reference writes the state whether or not the bag was found in it.
+            // As Cartographer, which writes the state whether or not the bag was localised in it.
             line.extend(["--from".to_owned(), map.display().to_string(), "--force".to_owned()]);
             line.extend(frozen_argument(frozen, i == 0));
         }
         let parsed = Cli::try_parse_from(line).map_err(|error| CliError::Usage(error.to_string()))?;
         match crate::commands::run(parsed.command, global)? {
-            // As in the reference, which does not tell.
+            // No failure, as in Cartographer, which does not report this at all.
             Outcome::Untrusted => {
                 log::warning(&format!("{bag} was not found in the state; it is written all the same."))
             }
@@ -91,7 +91,7 @@ fn copy(map: &Path, output: &Path) -> Result<(), CliError> {
     write_file(output, |out| std::io::copy(&mut source, out).map(drop))
 }
 
-/// Where the map goes: by itself beside the first bag.
+/// Path of the map: that of `-save_state_filename`, else that of the first bag with `.pbstream` appended.
 fn output(flags: &Flags, bags: &[String], state: &str) -> Result<PathBuf, CliError> {
     match (flags.value("save_state_filename"), bags.first()) {
         ("", Some(bag)) => Ok(PathBuf::from(format!("{bag}.pbstream"))),
@@ -102,8 +102,8 @@ fn output(flags: &Flags, bags: &[String], state: &str) -> Result<PathBuf, CliErr
     }
 }
 
-/// What the bag with this index is mapped with: fewer configurations than bags mean the first one for the
-/// rest, fewer robot descriptions mean none.
+/// Arguments of `portolan map` for the bag with this index. If there are fewer configurations than bags, the remaining
+/// bags use the first one; if there are fewer robot descriptions, they have none.
 fn of_bag(flags: &Flags, directory: &str, index: usize) -> Result<Vec<String>, CliError> {
     let configurations = flags.list("configuration_basenames");
     let name = configurations.get(index).or(configurations.first()).map_or("", String::as_str);
@@ -118,7 +118,7 @@ fn of_bag(flags: &Flags, directory: &str, index: usize) -> Result<Vec<String>, C
     Ok(arguments)
 }
 
-/// The state's trajectories stay where they are. Loading gives them the first numbers of the map.
+/// Argument that freezes the trajectories of the state. They have the lowest ids of the map.
 fn frozen_argument(count: usize, is_the_state_itself: bool) -> Option<String> {
     let numbers: Vec<String> = (0..count).map(|id| id.to_string()).collect();
     match (count, is_the_state_itself) {
@@ -128,7 +128,7 @@ fn frozen_argument(count: usize, is_the_state_itself: bool) -> Option<String> {
     }
 }
 
-/// How many trajectories of the state must not move.
+/// Number of trajectories of the state that are frozen.
 fn count_frozen(flags: &Flags, state: Option<&Path>) -> Result<usize, CliError> {
     let Some(path) = state.filter(|_| flags.is_on("load_frozen_state")) else { return Ok(0) };
     let reader = MapReader::open(path).map_err(|e| CliError::in_file(path, e))?;

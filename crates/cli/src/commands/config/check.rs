@@ -1,4 +1,4 @@
-//! `portolan config check`.
+//! `portolan config check`: finds errors in a configuration file.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! `portolan config explain`.
+//! `portolan config explain`: explains options.
 
 use portolan_config::{OptionDoc, Options, catalogue, explain_all};
 use serde::Serialize;
@@ -58,12 +58,12 @@ pub fn run(args: &ExplainArgs) -> Result<Outcome, CliError> {
     Ok(Outcome::Done)
 }
 
-/// Options whose name or explanation has a word in it, a line for each.
+/// Lists the options whose name or explanation contains a word, with the beginning of the explanation.
 fn search(word: &str) -> String {
     let word = word.to_lowercase();
     let has_word = |doc: &&OptionDoc| {
         !word.is_empty()
-            // A path is no word; one that is misspelt gets the nearest.
+            // A path is not searched as a word: for a misspelt path the nearest one is suggested.
             && !word.contains('.')
             && (doc.path.to_lowercase().contains(&word) || doc.doc.to_lowercase().contains(&word))
     };
@@ -90,7 +90,7 @@ fn bounds(doc: &OptionDoc) -> Option<String> {
     (doc.is_number() && !doc.bounds.is_any()).then(|| doc.bounds.to_string())
 }
 
-/// What a table holds.
+/// Options directly in a table.
 fn children(doc: &OptionDoc) -> impl Iterator<Item = &'static OptionDoc> {
     let is_child =
         |child: &&OptionDoc| child.path.rsplit_once('.').is_some_and(|(table, _)| table == doc.path);
@@ -118,7 +118,7 @@ fn text(doc: &OptionDoc) -> String {
     text
 }
 
-/// Lines of at most `width` characters, broken between words.
+/// Wraps text between words into lines of at most `width` characters.
 fn wrapped(text: &str, width: usize) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split_whitespace() {

@@ -1,4 +1,4 @@
-//! `portolan config show`.
+//! `portolan config show`: prints the values of all options.
 
 use portolan_config::{ConfigError, Engine, LoadedConfig, Loader, Options};
 
@@ -76,7 +76,7 @@ fn load(args: &ShowArgs) -> Result<LoadedConfig, CliError> {
         None => loader.load_options(Options::for_2d()),
     };
     loaded.map_err(|error| match error {
-        // Only settings can be of this kind when there is no file.
+        // Errors of `--set` are wrong usage; without a file, all other errors are, too.
         ConfigError::NoSetting { .. } => CliError::Usage(error.to_string()),
         _ if args.settings.config.is_none() => CliError::Usage(error.to_string()),
         _ => CliError::Failed(error.to_string()),

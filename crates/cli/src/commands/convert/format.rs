@@ -1,4 +1,4 @@
-//! What files hold.
+//! Formats of files, recognised by ending or content.
 
 use std::path::Path;
 
@@ -26,7 +26,7 @@ pub enum Format {
 }
 
 impl Format {
-    /// By the ending.
+    /// Format by the file ending.
     pub fn of_name(path: &Path) -> Result<Self, CliError> {
         let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
         match ending.as_deref() {
@@ -43,7 +43,8 @@ impl Format {
         }
     }
 
-    /// By the first bytes. Text formats of one trajectory are distinguished when they are read.
+    /// Format by the first bytes. Text formats of one trajectory are all returned as [`Self::Tum`]; they are
+    /// distinguished when they are read.
     pub fn of_content(input: &mut Forward, path: &Path) -> Result<Self, CliError> {
         if is_map(input, path)? {
             return Ok(Self::Map);

@@ -1,4 +1,4 @@
-//! Pose graphs.
+//! Converts pose graphs.
 
 use portolan_geometry::Rigid3;
 use portolan_input::Forward;
@@ -13,7 +13,7 @@ use crate::error::{CliError, Outcome};
 use crate::output::{counted, outcome_of_map, print_json, print_summary, write_file};
 use crate::progress::say;
 
-/// The constraints of a map.
+/// Writes the constraints of a map as a pose graph.
 pub fn of_map(args: &ConvertArgs) -> Result<Outcome, CliError> {
     let draft = MapDraft::open(&args.input, ReadLimits::default())?;
     let graph = draft.to_graph()?;
@@ -30,7 +30,7 @@ pub fn of_map(args: &ConvertArgs) -> Result<Outcome, CliError> {
     Ok(Outcome::DataLost)
 }
 
-/// A chain of poses.
+/// Writes a trajectory as a pose graph: a chain of poses with unit information matrices.
 pub fn of_trajectory(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let (trajectory, _) = read_one(args, input, global)?;
     let poses: Vec<Rigid3> = trajectory.poses().iter().map(|p| p.map_from_tracking).collect();
@@ -70,7 +70,7 @@ fn write(args: &ConvertArgs, graph: &Graph) -> Result<Outcome, CliError> {
     Ok(Outcome::Done)
 }
 
-/// Poses of a g2o file back into the map it was made from.
+/// Writes the poses of a g2o file back into the map from which it was made.
 pub fn into_map(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let Some(map) = &args.into else {
         return Err(CliError::Usage("say with --into MAP which map gets the poses".to_owned()));

@@ -1,4 +1,4 @@
-//! Trajectories.
+//! Converts trajectories.
 
 use std::io::{BufWriter, Write};
 
@@ -19,12 +19,12 @@ use crate::error::{CliError, Outcome};
 use crate::output::{counted, outcome_of_map, print_json, print_summary, write_file};
 use crate::progress::say;
 
-/// What is said of inputs of which nothing can be made.
+/// Message for inputs without poses.
 pub const NO_POSES: &str = "there are no poses";
 
 type Named = Vec<(i32, Trajectory)>;
 
-/// Trajectories, and whether the file they are from has lost something.
+/// Trajectories, and whether data of their file were lost.
 type Read<T> = (T, bool);
 
 pub fn run(args: &ConvertArgs, input: Forward, to: Format, global: &GlobalArgs) -> Result<Outcome, CliError> {
@@ -70,7 +70,7 @@ pub fn run(args: &ConvertArgs, input: Forward, to: Format, global: &GlobalArgs) 
     Ok(if lost_data { Outcome::DataLost } else { Outcome::Done })
 }
 
-/// Poses of a trajectory into a map.
+/// Writes the poses of a trajectory into a map.
 pub fn into_map(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let Some(map) = &args.into else {
         return Err(CliError::Usage(
@@ -98,7 +98,7 @@ pub fn into_map(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Resu
     Ok(if lost_data { Outcome::DataLost } else { written })
 }
 
-/// The trajectory of the input, or the one that was asked for.
+/// Reads the only trajectory of the input, or the one of `--trajectory`.
 pub fn read_one(
     args: &ConvertArgs,
     input: Forward,
@@ -118,7 +118,8 @@ pub fn read_one(
     }
 }
 
-/// All trajectories of the input that are asked for.
+/// Reads all trajectories of the input, or the one of `--trajectory`. With `--into` that option selects the trajectory of
+/// the map instead, and all of the input are read.
 fn read(args: &ConvertArgs, mut input: Forward, global: &GlobalArgs) -> Result<Read<Named>, CliError> {
     let path = &args.input;
     let mut lost_data = false;

@@ -1,4 +1,4 @@
-//! The steps of `edit`, in their order.
+//! Performs the steps of `edit` in their order.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -16,7 +16,7 @@ use crate::error::{CliError, Outcome};
 use crate::output::{counted, outcome_of_map, print_json, print_summary};
 use crate::progress::say;
 
-/// What was done, for programs.
+/// Report of all steps, for JSON.
 #[derive(Serialize)]
 struct Report {
     output: String,
@@ -24,7 +24,7 @@ struct Report {
     #[serde(flatten)]
     edit: EditReport,
     optimization: Option<MapOptimization>,
-    /// Degrees by which the map was rotated.
+    /// Angle by which the map was rotated, degrees.
     rotated_degrees: f64,
     worst_loops: Vec<LoopResidual>,
 }
@@ -137,7 +137,7 @@ fn cut_time(draft: &mut MapDraft, args: &PartArgs) -> Result<(), CliError> {
     })
 }
 
-/// An error that says which option left nothing.
+/// If nothing is left of the map, an error that names the option.
 fn naming(option: &str, error: EditError) -> CliError {
     match error {
         EditError::Nothing => nothing_left(option),
@@ -154,7 +154,7 @@ fn new_numbers(ids: &BTreeMap<i32, i32>) -> String {
     format!("trajectory {}", names.join(", "))
 }
 
-/// Says where a map was found.
+/// Reports the pose at which a merged map was found.
 fn told(path: &Path, joined: JoinedMap, global: &GlobalArgs) -> JoinedMap {
     if !global.quiet {
         let place = &joined.map_from_other;
@@ -171,7 +171,8 @@ fn told(path: &Path, joined: JoinedMap, global: &GlobalArgs) -> JoinedMap {
     joined
 }
 
-/// Whether all loop closures that were put in fit, as far as can be told.
+/// Removes and adds loop closures. Returns whether the scans of all added ones with a given pose fit their submaps; those
+/// that cannot be checked count as fitting.
 fn change_loops(draft: &mut MapDraft, args: &LoopArgs, global: &GlobalArgs) -> Result<bool, CliError> {
     for (submap, node) in &args.drop_loop {
         draft.drop_loop(*submap, *node)?;
@@ -216,7 +217,8 @@ fn change_loops(draft: &mut MapDraft, args: &LoopArgs, global: &GlobalArgs) -> R
     Ok(fit_everywhere)
 }
 
-/// Says how a scan fits a submap where somebody says that it was taken; whether it does, as far as can be told.
+/// Reports how the scan of a node fits a submap at the pose given by the user. Returns whether it fits: more beams are
+/// explained than contradicted, or it cannot be checked.
 fn fits(draft: &MapDraft, new: &LoopToAdd, pose: &Rigid3) -> Result<bool, CliError> {
     let Some(agreement) = draft.judge_loop(new.submap, new.node, pose)? else { return Ok(true) };
     let (node, submap) = (new.node, new.submap);
@@ -234,7 +236,7 @@ fn fits(draft: &MapDraft, new: &LoopToAdd, pose: &Rigid3) -> Result<bool, CliErr
     Ok(fits)
 }
 
-/// Moves and turns the map; returns the angle, radians.
+/// Moves and rotates the map; returns the angle, radians.
 fn place(draft: &mut MapDraft, args: &PlaceArgs) -> Result<f64, CliError> {
     if let Some(origin) = args.origin {
         draft.transform(&Rigid3::from_parts((-origin).into(), portolan_geometry::Quaternion::identity()))?;

@@ -1,16 +1,16 @@
-//! What the arguments of `edit` mean.
+//! Parsers of the arguments of `edit`.
 
 use portolan_geometry::{Rigid3, Time, Vector3, rotation_from_roll_pitch_yaw};
 use portolan_pbstream::IdInFile;
 
 use crate::commands::argument::{id, numbers, pose_2d};
 
-/// How to turn the map.
+/// How to rotate the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Rotation {
-    /// Radians.
+    /// By this angle, radians.
     By(f64),
-    /// So that walls run along the axes.
+    /// So that the walls are parallel to the axes.
     Walls,
 }
 
@@ -19,7 +19,7 @@ pub enum Rotation {
 pub struct LoopToAdd {
     pub submap: IdInFile,
     pub node: IdInFile,
-    /// None: to be found.
+    /// Pose of the node in the submap; none if it is to be found by matching.
     pub submap_from_node: Option<Rigid3>,
 }
 
@@ -33,7 +33,7 @@ pub fn rotation(text: &str) -> Result<Rotation, String> {
         .ok_or_else(|| format!("expected degrees or `walls`, not \"{text}\""))
 }
 
-/// x, y and perhaps z.
+/// Point x, y or x, y, z, metres.
 pub fn point(text: &str) -> Result<Vector3, String> {
     if text.split(',').count() == 2 {
         let [x, y] = numbers::<2>(text, "X,Y")?;
@@ -42,7 +42,7 @@ pub fn point(text: &str) -> Result<Vector3, String> {
     numbers::<3>(text, "X,Y or X,Y,Z").map(Vector3::from)
 }
 
-/// x, y, yaw or x, y, z, roll, pitch, yaw: metres and degrees.
+/// Pose x, y, yaw or x, y, z, roll, pitch, yaw: metres and degrees.
 fn pose(text: &str) -> Result<Rigid3, String> {
     if text.split(',').count() == 3 {
         return pose_2d(text);
@@ -58,7 +58,7 @@ pub fn rename(text: &str) -> Result<(i32, i32), String> {
     numbers.ok_or_else(|| format!("expected OLD=NEW, not \"{text}\""))
 }
 
-/// A submap and a node.
+/// Ids of a submap and a node: `SUBMAP:NODE`.
 pub fn pair(text: &str) -> Result<(IdInFile, IdInFile), String> {
     let (submap, node) =
         text.split_once(':').ok_or_else(|| format!("expected SUBMAP:NODE, not \"{text}\""))?;
@@ -74,7 +74,7 @@ pub fn loop_to_add(text: &str) -> Result<LoopToAdd, String> {
     Ok(LoopToAdd { submap, node, submap_from_node })
 }
 
-/// Unix seconds, or `+S` seconds after `first`.
+/// Time as Unix seconds, or as `+S`, seconds after `first`.
 pub fn time(text: &str, first: Time) -> Result<Time, String> {
     let bad = || format!("expected Unix seconds or +SECONDS, not \"{text}\"");
     match text.strip_prefix('+') {

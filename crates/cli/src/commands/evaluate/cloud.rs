@@ -1,4 +1,4 @@
-//! `portolan evaluate cloud`.
+//! `portolan evaluate cloud`: measures the sharpness of clouds and their distance from true surfaces.
 
 mod input;
 mod truth;
@@ -19,9 +19,9 @@ use crate::progress::say;
 use input::{Clouds, JudgedCloud, read_clouds};
 use truth::{Truth, TruthArgs};
 
-/// Edge of the places of a comparison, metres.
+/// Edge of the cells in which clouds are compared, metres.
 const PLACE: f64 = 2.0;
-/// Clouds whose densities differ by more than this factor are not to be compared.
+/// Ratio of densities above which two clouds are reported as not comparable; dimensionless.
 const LIKE_DENSITY: f64 = 1.1;
 
 /// Judge a cloud: how sharp it is, and with the truth how far its points are from the true surfaces.
@@ -66,7 +66,7 @@ pub struct CloudArgs {
 struct CloudReport {
     /// File of the cloud or of the trajectory.
     cloud: String,
-    /// Points of the cloud, of which `points` were looked at.
+    /// Number of points of the cloud, of which `points` were examined.
     total_points: u64,
     #[serde(flatten)]
     quality: CloudQuality,
@@ -75,7 +75,7 @@ struct CloudReport {
     distances: Vec<([i32; 3], f64)>,
 }
 
-/// A cloud against the first one.
+/// Comparison of a cloud with the first one.
 #[derive(Serialize)]
 struct Comparison {
     before: String,

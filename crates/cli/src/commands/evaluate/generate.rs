@@ -1,4 +1,4 @@
-//! `portolan evaluate generate`.
+//! `portolan evaluate generate`: makes relations from the loop closures of a map.
 
 use std::path::{Path, PathBuf};
 
@@ -81,7 +81,7 @@ pub fn run(args: &GenerateArgs, global: &GlobalArgs) -> Result<Outcome, CliError
     Ok(Outcome::Done)
 }
 
-/// What relations are made from.
+/// Reads the pose graph of a map: nodes, submaps and constraints, from which relations are made.
 pub fn read_map_graph(path: &Path) -> Result<MapGraph, CliError> {
     let (pose_graph, damage) = whole_pose_graph_from(open_forward(path)?, path)?;
     if let Some(damage) = damage {

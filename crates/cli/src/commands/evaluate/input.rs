@@ -1,4 +1,4 @@
-//! Trajectories and relations from files of any format, with words about what was put right.
+//! Reads trajectories and relations from files of any format, and reports repairs.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use crate::error::CliError;
 use crate::input::{open_forward, read_bytes};
 use crate::progress::say;
 
-/// Reads a trajectory; says on stderr what was put right.
+/// Reads a trajectory; reports repairs on stderr.
 pub fn read_trajectory(file: TrajectoryFile, quiet: bool) -> Result<Trajectory, CliError> {
     read_trajectory_from(open_forward(file.path)?, file, quiet)
 }
@@ -29,12 +29,12 @@ pub fn read_trajectory_from(
     Ok(trajectory)
 }
 
-/// Says on stderr what was put right in a file.
+/// Reports repairs of a file on stderr.
 pub fn tell(path: &Path, notes: &[String]) {
     notes.iter().for_each(|note| say(&format!("{}: {note}", path.display())));
 }
 
-/// Relations, text or binary.
+/// Reads relations, text or binary.
 pub fn read_relations_file(path: &Path) -> Result<Vec<Relation>, CliError> {
     let bytes = read_bytes(path)?;
     if let Some(kind) = portolan_input::kind_of(&bytes) {
@@ -43,7 +43,7 @@ pub fn read_relations_file(path: &Path) -> Result<Vec<Relation>, CliError> {
     read_relations(&bytes).map_err(|error: EvaluationError| CliError::in_file(path, error))
 }
 
-/// Seconds as a duration; a number that is none, or not above zero, is wrong usage.
+/// Seconds as a duration. A value that is not a number or not above 0 is wrong usage.
 pub fn positive_seconds(option: &str, seconds: f64) -> Result<Duration, CliError> {
     if seconds > 0.0 && seconds < 1e9 {
         return Ok(Duration::from_seconds(seconds));

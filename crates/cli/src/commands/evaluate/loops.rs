@@ -1,4 +1,4 @@
-//! `portolan evaluate loops`.
+//! `portolan evaluate loops`: checks the loop closures of a map against a true trajectory.
 
 use std::path::PathBuf;
 
@@ -15,7 +15,7 @@ use crate::error::{CliError, Outcome};
 use crate::output::{print, print_json, write_file};
 use crate::progress::say;
 
-/// A true pose further away in time, seconds, does not judge a loop closure.
+/// Maximum time difference between a loop closure and the true pose that it is compared with, seconds.
 const LONGEST_WAY: f64 = 2.5;
 
 /// Judge the loop closures of a map by a true trajectory: how many are right.

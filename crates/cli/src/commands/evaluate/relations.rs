@@ -1,4 +1,4 @@
-//! `portolan evaluate relations`.
+//! `portolan evaluate relations`: compares the motions of a trajectory with known relations.
 
 use std::path::{Path, PathBuf};
 
@@ -13,7 +13,7 @@ use crate::error::{CliError, Outcome};
 use crate::output::{counted, print, print_json, write_file};
 use crate::progress::say;
 
-/// Relations within this error count as right, metres.
+/// Translational error below which a relation counts as right, metres.
 const GOOD: f64 = 0.2;
 
 /// Compare the motions of a trajectory with known ones.
@@ -54,9 +54,9 @@ pub struct RelationsArgs {
 struct Report<'a> {
     #[serde(flatten)]
     report: &'a RelationReport,
-    /// 0 to 1.
+    /// Fraction of the relations with a translational error within 0.2 m, 0 to 1.
     share_within_0_2_metres: f64,
-    /// Seconds that were added to the times of the relations.
+    /// Time offset that was added to the times of the relations, seconds.
     time_shift: f64,
 }
 
@@ -86,7 +86,7 @@ pub fn run(args: &RelationsArgs, global: &GlobalArgs) -> Result<Outcome, CliErro
     Ok(Outcome::Done)
 }
 
-/// Both kinds of errors, one below the other.
+/// Draws the histograms of translational and rotational errors, one below the other.
 fn draw(report: &RelationReport, path: &Path) -> Result<(), CliError> {
     let values = |of: fn(&RelationError) -> f64| report.errors.iter().map(of).collect::<Vec<f64>>();
     let (translation, rotation) = (values(|e| e.translation), values(|e| e.rotation_degrees));

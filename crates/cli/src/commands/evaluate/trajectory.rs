@@ -1,4 +1,4 @@
-//! `portolan evaluate trajectory`.
+//! `portolan evaluate trajectory`: absolute and relative errors of a trajectory.
 
 use std::path::PathBuf;
 
@@ -16,7 +16,7 @@ use crate::error::{CliError, Outcome};
 use crate::output::{print, print_json};
 use crate::progress::say;
 
-/// Heights that differ by less are those of a motion in 2D, metres.
+/// Range of heights below which a trajectory counts as 2D, metres.
 const FLAT: f64 = 1e-6;
 
 /// Compare a trajectory with the true one: absolute and relative errors.
@@ -86,7 +86,7 @@ struct Report {
     drift: Option<Drift>,
 }
 
-/// A step of time in seconds.
+/// Time step, seconds, above 0.
 fn positive_step(text: &str) -> Result<f64, String> {
     seconds(text)
         .ok()

@@ -1,4 +1,4 @@
-//! Numbers as people read them.
+//! Formats times, sizes and durations for the user.
 
 use portolan_geometry::Time;
 
@@ -28,7 +28,7 @@ fn civil(days: i64) -> (i64, i64, i64) {
     (era * 400 + year_of_era + i64::from(month <= 2), month, day)
 }
 
-/// `12.3 MB`.
+/// Size with unit, as `12.3 MB`.
 pub fn size(bytes: u64) -> String {
     match bytes {
         0..1000 => format!("{bytes} bytes"),
@@ -38,7 +38,7 @@ pub fn size(bytes: u64) -> String {
     }
 }
 
-/// `83.2 s`, `12 min 5 s`, `3 h 4 min`.
+/// Duration with units, as `83.2 s`, `12 min 5 s`, `3 h 4 min`.
 pub fn duration(seconds: f64) -> String {
     match seconds {
         s if s < 120.0 => format!("{s:.1} s"),

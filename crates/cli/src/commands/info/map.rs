@@ -1,4 +1,4 @@
-//! What a map holds.
+//! Summarises maps.
 
 use std::fmt::{self, Write as _};
 use std::io::{self, BufWriter, Write as _};
@@ -19,15 +19,15 @@ use crate::output::counted;
 #[derive(Serialize)]
 pub struct MapReport {
     path: String,
-    /// Bytes.
+    /// Size of the file, bytes.
     size: u64,
-    /// What scans were matched to, if the map says so: those of other programs do not.
+    /// Engine that matched the scans; none if the map does not contain it, as those of other programs.
     engine: Option<String>,
     #[serde(flatten)]
     info: MapInfo,
 }
 
-/// Reads a map and sums it up.
+/// Reads and summarises a map.
 pub fn read(path: &Path, input: Forward) -> Result<MapReport, CliError> {
     let failed = |error| CliError::in_file(path, format!("{error}; see `portolan check`"));
     let length = input.length();
@@ -58,7 +58,7 @@ pub fn print_messages(path: &Path) -> Result<(), CliError> {
     }
 }
 
-/// The standard output for what writes text; remembers why it failed.
+/// Adapter from [`fmt::Write`] to stdout; it stores the I/O error, which [`fmt::Error`] cannot carry.
 struct Stdout<W: io::Write> {
     out: BufWriter<W>,
     error: Option<io::Error>,
@@ -79,7 +79,7 @@ impl MapReport {
         self.info.damage.is_some()
     }
 
-    /// For people; lines that Cartographer's tool prints stand there in its words.
+    /// Summary as text; lines that Cartographer's tool also prints have the same wording.
     pub fn text(&self, with_options: bool) -> String {
         let info = &self.info;
         let mut text = format!("{}: map, {}, {}\n", self.path, grids(info), size(self.size));
@@ -137,7 +137,7 @@ fn grids(info: &MapInfo) -> String {
     parts.join(", ")
 }
 
-/// What the messages take when they are unpacked, the largest kinds first.
+/// Decompressed size of the messages in total, and of the four largest kinds.
 fn memory(info: &MapInfo) -> String {
     let mut kinds: Vec<(&String, u64)> = info.unpacked_bytes.iter().map(|(k, v)| (k, *v)).collect();
     kinds.sort_by_key(|(name, bytes)| (std::cmp::Reverse(*bytes), *name));

@@ -1,4 +1,4 @@
-//! What a recording holds.
+//! Summarises recordings.
 
 use std::path::Path;
 
@@ -19,7 +19,7 @@ pub struct RecordingReport {
     info: RecordingInfo,
 }
 
-/// Sums up a recording; all of it is read where its index does not tell.
+/// Summarises a recording; the whole recording is read if its index does not contain the data.
 pub fn read(path: &Path, quiet: bool) -> Result<RecordingReport, CliError> {
     let recording = open(path)?;
     let size = recording.size_bytes();
@@ -39,7 +39,7 @@ impl RecordingReport {
         self.info.issues.iter().any(Issue::lost_data)
     }
 
-    /// For people.
+    /// Summary as text.
     pub fn text(&self) -> String {
         format!("{}\n{}", self.path, self.info.to_text())
     }

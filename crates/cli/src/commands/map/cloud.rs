@@ -1,4 +1,4 @@
-//! The map as a cloud and as X-ray pictures: what is asked for, and words about what was made.
+//! Options for the map as a cloud and as X-ray pictures, and the summary of the cloud.
 
 use std::path::PathBuf;
 
@@ -25,7 +25,7 @@ pub struct CloudArgs {
 }
 
 impl CloudArgs {
-    /// As the job wants it.
+    /// The options as the job takes them.
     pub fn request(&self) -> CloudRequest {
         CloudRequest {
             file: self.cloud.clone(),
@@ -35,7 +35,7 @@ impl CloudArgs {
     }
 }
 
-/// How many points are in the cloud, and which were left out.
+/// Number of points in the cloud, and of points that were left out by reason.
 pub fn summary(points: u64, reprojected: &Reprojected) -> String {
     let mut text = format!("cloud: {} of {}", counted(points, "point", "points"), reprojected.points);
     let left_out = [

@@ -1,13 +1,14 @@
-//! Degenerate intervals, for people.
+//! Summary of degenerate intervals for the user.
 
 use std::collections::BTreeMap;
 
 use portolan_mapping::{DegenerateInterval, DegenerateMotion, Substitute};
 
-/// Intervals that are shorter together, seconds, are left to the report.
+/// Minimum total duration of the intervals of a motion, seconds; shorter ones are only in `report.json`.
 const SHORT: f64 = 2.0;
 
-/// A line for each kind of motion, with what was used instead.
+/// One line for each degenerate motion, with the substitute that was used for most of the time and its accumulated
+/// standard deviation.
 pub(super) fn degenerate_intervals(all: &[DegenerateInterval], recording_seconds: f64) -> String {
     let line = |motion: DegenerateMotion| {
         let mut by_taken: BTreeMap<Substitute, f64> = BTreeMap::new();

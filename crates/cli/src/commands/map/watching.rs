@@ -1,4 +1,4 @@
-//! A job of mapping, as it is shown on the terminal.
+//! Shows a mapping job on the terminal.
 
 use std::time::Instant;
 
@@ -13,7 +13,7 @@ use crate::interrupt::Saving;
 use crate::output::print_summary;
 use crate::progress::Progress;
 
-/// Maps with a bar that tells how far it is, writes the results and names them.
+/// Runs the job with a progress bar, writes the results and prints their paths.
 pub fn run_job(job: &Job, recording: &dyn Recording, global: &GlobalArgs) -> Result<Finished, CliError> {
     let mut watch = Watch { global, size_bytes: recording.size_bytes(), stage: Stage::Loading };
     let mut tell = remarks(global);
@@ -25,13 +25,13 @@ pub fn run_job(job: &Job, recording: &dyn Recording, global: &GlobalArgs) -> Res
     Ok(finished?)
 }
 
-/// What the job does, with what is shown of it.
+/// Stage of the job, with its progress bar.
 enum Stage {
-    /// It loads known maps, or is between two stages.
+    /// Known maps are loaded, or the job is between two stages.
     Loading,
-    /// It maps and writes the results: the first interruption saves what there is.
+    /// Mapping, then writing the results: the first interruption saves partial results.
     Mapping { bar: Option<Progress>, start: Instant, _saving: Saving },
-    /// It reads the recording again.
+    /// The recording is read again, to transform its raw points by the final trajectory.
     PlacingPoints { bar: Progress },
 }
 
@@ -81,7 +81,7 @@ impl Watch<'_> {
         }
     }
 
-    /// Goes on to another stage; the bar of the one before ends.
+    /// Enters another stage; removes the bar of the previous one.
     fn enter(&mut self, stage: Stage) {
         match std::mem::replace(&mut self.stage, stage) {
             Stage::Mapping { bar: Some(bar), .. } | Stage::PlacingPoints { bar } => bar.finish(),
@@ -90,7 +90,7 @@ impl Watch<'_> {
     }
 }
 
-/// Names what the second pass gave.
+/// Prints the summary of the cloud and the paths of the files of the second pass.
 fn name_clouds(clouds: &CloudResults) {
     let text = clouds.cloud.as_ref().map(|(points, of)| cloud::summary(*points, of));
     let files = clouds.files.iter().map(|file| file.display().to_string());

@@ -1,4 +1,4 @@
-//! Words about mapping, for people.
+//! Progress messages and summary of mapping for the user.
 
 use std::path::PathBuf;
 
@@ -11,7 +11,7 @@ use super::degenerate::degenerate_intervals;
 use crate::known_map::sentence;
 use crate::output::counted;
 
-/// How far mapping is.
+/// Progress message of mapping.
 pub(super) fn describe(state: &PipelineProgress, start: std::time::Instant) -> String {
     let memory = resident_and_peak_bytes()
         .map_or_else(String::new, |(resident, _)| format!(", {} MB", resident / 1_000_000));
@@ -25,10 +25,10 @@ pub(super) fn describe(state: &PipelineProgress, start: std::time::Instant) -> S
     )
 }
 
-/// So many issues of one kind and sensor have lines of their own; of more the first one stands for all.
+/// Maximum number of issues of one kind and sensor that are all listed; of more only the first is listed.
 const MOST_ALIKE: usize = 3;
 
-/// One line for each issue; harmless ones only where they are wanted. They come with those of a kind together.
+/// One line for each issue; harmless ones only if requested. `all` must be sorted by kind.
 fn issues(all: impl Iterator<Item = Issue>, with_harmless: bool) -> String {
     let (harmless, told): (Vec<Issue>, Vec<Issue>) =
         all.partition(|issue| issue.severity == Severity::Info && !with_harmless);
@@ -53,7 +53,8 @@ fn issues(all: impl Iterator<Item = Issue>, with_harmless: bool) -> String {
     text
 }
 
-/// What was made, for people.
+/// Summary of mapping: counts, localisation, computing times, rejected loop closures, losses, degenerate intervals,
+/// issues and files.
 pub(super) fn summary(
     mapped: &MappingSummary,
     files: &[PathBuf],
@@ -87,7 +88,7 @@ pub(super) fn summary(
     text.trim_end().to_owned()
 }
 
-/// How long scans took, and how much memory.
+/// Computing time per scan and peak memory.
 fn times(times: &LatencyHistogram) -> String {
     if times.count() == 0 {
         return String::new();
@@ -101,7 +102,7 @@ fn times(times: &LatencyHistogram) -> String {
     )
 }
 
-/// Loop closures that were not believed, and places that look otherwise each time.
+/// Rejected loop closures, places where the map contradicts itself, and drift.
 fn doubts(mapped: &MappingSummary) -> String {
     let mut text = String::new();
     let contradicted = mapped.contradicted_loop_closures;

@@ -1,4 +1,4 @@
-//! Optimisation of g2o files.
+//! Optimises g2o files.
 
 use portolan_input::Forward;
 use portolan_solver::g2o::{Graph, Report, optimize_graph, read_g2o, write_g2o};

@@ -1,4 +1,4 @@
-//! Optimisation of maps.
+//! Optimises maps.
 
 use portolan_config::Options;
 use portolan_geometry::Dimension;
@@ -42,7 +42,7 @@ pub fn run(args: &OptimizeArgs, _: &GlobalArgs) -> Result<Outcome, CliError> {
     Ok(outcome_of_map(&args.output, &damage))
 }
 
-/// Optimises with [`options`].
+/// Optimises a map with [`options`].
 pub fn optimize_draft(
     draft: &mut MapDraft,
     settings: &[String],
@@ -54,7 +54,7 @@ pub fn optimize_draft(
     Ok(draft.optimize(&options, most)?)
 }
 
-/// The options that the map was made with, or else the defaults of its dimension; and `settings`.
+/// The options with which the map was made, or else the defaults of its dimension, changed by `settings`.
 pub fn options(draft: &MapDraft, settings: &[String]) -> Result<Options, CliError> {
     let made_with = draft.options().unwrap_or_else(|error| {
         tracing::warn!("{error}: the defaults are taken instead");
@@ -70,7 +70,7 @@ pub fn options(draft: &MapDraft, settings: &[String]) -> Result<Options, CliErro
     Ok(options)
 }
 
-/// One line for people.
+/// Summary of an optimisation, one line for the user.
 pub fn summary(o: &MapOptimization) -> String {
     format!(
         "optimised {}, {}, {}: cost {:.6} to {:.6} in {} iterations{}; moved {:.3} m at most",
@@ -98,7 +98,7 @@ impl Report {
     }
 }
 
-/// One line for people.
+/// Residual of a loop closure, one line for the user.
 pub fn loop_text(l: &LoopResidual) -> String {
     format!(
         "  submap {},{} node {},{}: {:.3} m, {:.2} deg\n",

@@ -1,4 +1,4 @@
-//! The raw points of a recording.
+//! Reads the raw points of a recording.
 
 use portolan::job::refine::{MotionSensor, PointReading, ReadPoints};
 use portolan_ingest::IngestOptions;
@@ -61,7 +61,7 @@ pub fn read_points(
     read_points_and(recording, args, &[], global)
 }
 
-/// Reads all points of the range sensors, and what these others measured.
+/// Reads all points of the range sensors, and the measurements of the other sensors.
 pub fn read_points_and(
     recording: &dyn Recording,
     args: &PointArgs,

@@ -1,4 +1,4 @@
-//! What a refinement did, for people.
+//! Summary of a refinement for the user.
 
 use std::path::PathBuf;
 
@@ -28,7 +28,7 @@ fn mounting_line(mounting: &Mounting) -> String {
     text + "\n"
 }
 
-/// What was done, for people.
+/// Summary of a refinement: size, sharpness before and after, cross-validation, notes, issues and files.
 pub fn summary(results: &RefineResults, files: &[PathBuf]) -> String {
     let report = &results.refined.report;
     let mut text = format!(
@@ -70,7 +70,7 @@ pub fn summary(results: &RefineResults, files: &[PathBuf]) -> String {
     text
 }
 
-/// What surfaces say that took no part in the fit.
+/// Result of the cross-validation: agreement of surfaces that were kept out of the fit.
 fn cross_validation_lines(found: &CrossValidation) -> String {
     let agreement = |a: &Agreement| format!("{:.2} -> {:.2} cm", 100.0 * a.before, 100.0 * a.after);
     let mut text = format!(
@@ -89,7 +89,7 @@ fn cross_validation_lines(found: &CrossValidation) -> String {
     text
 }
 
-/// What was estimated besides, could not be determined, or is wrong with the trajectory.
+/// Undetermined directions, estimated mountings, removed jumps of the trajectory, and warnings.
 fn notes(report: &RefineReport, without_results: bool) -> String {
     let mut text = String::new();
     for u in &report.undetermined {

@@ -1,4 +1,4 @@
-//! Scans, first poses and links from files.
+//! Reads scans, initial poses and links from files.
 
 use std::path::{Path, PathBuf};
 
@@ -17,11 +17,12 @@ use crate::input::read_bytes;
 use crate::output::counted;
 use crate::progress::say;
 
-/// Neighbours that tell a normal.
+/// Number of neighbours from which a normal is computed.
 const NORMAL_NEIGHBOURS: usize = 12;
-/// Coordinates beyond this are good to less than a millimetre in single precision, metres.
+/// Largest coordinate that is stored without an offset, metres: beyond it single precision resolves only about a
+/// millimetre.
 const SINGLE_PRECISION_REACH: f64 = 8192.0;
-/// Points of a scan that are kept in memory at most.
+/// Maximum number of points of a scan that are kept in memory.
 const MOST_POINTS: usize = 50_000_000;
 /// How points are read.
 #[derive(clap::Args, Clone, Debug)]
@@ -82,7 +83,7 @@ fn failed(error: CloudError) -> CliError {
     CliError::Failed(error.to_string())
 }
 
-/// Reads all scans; what is strange is said.
+/// Reads all scans; suspicious units are reported.
 pub fn read_scans(
     paths: &[PathBuf],
     input: &InputArgs,
@@ -126,8 +127,8 @@ pub fn read_scans(
     Ok(scans)
 }
 
-/// Points relative to the first point of the first scan where coordinates are too large for single precision; whether
-/// data were lost.
+/// Reads a scan; returns also whether data were lost. If the first point of the first scan is too far from the origin for
+/// single precision, all points are stored relative to it.
 fn read_scan(
     source: &ScanSource,
     input: &InputArgs,
@@ -165,7 +166,7 @@ fn read_scan(
         return Err(CliError::in_file(path, "all its points lie at one place"));
     }
     let cloud = match surfaces {
-        // The scanner stands at the origin of its scan.
+        // The scanner is at the origin of its scan.
         true => ScanCloud::with_surfaces(points, NORMAL_NEIGHBOURS, f32::INFINITY)
             .with_normals_towards(origin.unwrap_or([0.0; 3]).map(|v| -v as f32)),
         false => ScanCloud::new(points),
@@ -173,7 +174,7 @@ fn read_scan(
     Ok((cloud, read.lost_data()))
 }
 
-/// Poses in the order of the scans.
+/// Reads the initial poses, in the order of the scans.
 pub fn read_poses(path: &Path, count: usize) -> Result<Vec<Rigid3>, CliError> {
     let trajectory = read_trajectory(TrajectoryFile { path, trajectory_id: None, times: None }, false)?;
     if trajectory.len() != count {
@@ -185,7 +186,7 @@ pub fn read_poses(path: &Path, count: usize) -> Result<Vec<Rigid3>, CliError> {
     Ok(trajectory.poses().iter().map(|p| p.map_from_tracking).collect())
 }
 
-/// Links from a file.
+/// Reads links from a file.
 pub fn read_links(path: &Path, count: usize) -> Result<Vec<Link>, CliError> {
     links_of_text(&String::from_utf8_lossy(&read_bytes(path)?), count)
         .map_err(|error| CliError::in_file(path, error))

@@ -75,7 +75,7 @@ enum Method {
     Generalized,
 }
 
-/// Scans whose points need surfaces.
+/// Scans for whose points surfaces (normals) are computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SurfacesOf {
     None,
@@ -108,7 +108,7 @@ impl IcpArgs {
         })
     }
 
-    /// Which scans need surfaces; with planes only those that others are matched with.
+    /// Scans that need surfaces. For point-to-plane matching the last scan needs none, because no scan is matched to it.
     pub fn surfaces(&self) -> SurfacesOf {
         match self.method {
             _ if self.normals_within.is_some() => SurfacesOf::All,
@@ -118,7 +118,7 @@ impl IcpArgs {
         }
     }
 
-    /// All options of the registration scan by scan.
+    /// All options of the sequential registration.
     pub fn sequence(&self, loops: &LoopArgs) -> Result<SequenceOptions, CliError> {
         positive("--max-distance", self.max_distance)?;
         positive("--epsilon", self.epsilon)?;
@@ -168,7 +168,7 @@ impl IcpArgs {
     }
 }
 
-/// A number above zero.
+/// Checks that an option is above 0.
 fn positive(name: &str, value: f64) -> Result<(), CliError> {
     match value > 0.0 && value < 1e6 {
         true => Ok(()),
@@ -273,12 +273,12 @@ enum GlobalName {
 }
 
 impl GlobalMatchingArgs {
-    /// Whether points need surfaces.
+    /// Whether global matching needs surfaces.
     pub fn planes(&self) -> bool {
         self.global && self.global_planes
     }
 
-    /// Refuses numbers that make no sense.
+    /// Refuses invalid values.
     pub fn check(&self) -> Result<(), CliError> {
         let optional = |name, value: Option<f64>| value.map_or(Ok(()), |v| positive(name, v));
         optional("--global-distance", self.global_distance)?;
@@ -295,7 +295,7 @@ impl GlobalMatchingArgs {
         Ok(())
     }
 
-    /// The options.
+    /// Options of the global matching.
     pub fn options(&self, icp: &IcpArgs) -> GlobalOptions {
         GlobalOptions {
             method: match self.global_method {

@@ -1,4 +1,4 @@
-//! What a registration prints.
+//! Summary of a registration for the user.
 
 use std::path::PathBuf;
 
@@ -7,11 +7,11 @@ use portolan_geometry::{Quaternion, nalgebra as na};
 
 use crate::output::counted;
 
-/// What can be done about it.
+/// Advice if the result is unreliable.
 pub const ADVICE: &str = "give a nearer first pose (--guess, --poses), a larger --max-distance or more --iterations, if the \
     scans overlap at all; --force writes the result all the same";
 
-/// Everything for people.
+/// Summary of a registration: poses, loops, global matching and files.
 pub fn text(work: &Registration, registered: &[Registered], files: &[PathBuf]) -> String {
     let mut text = String::new();
     for scan in registered {

@@ -1,4 +1,4 @@
-//! What is simulated, from the command line.
+//! Options of the simulated scenario, from the command line.
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use portolan_geometry::Rigid3;
@@ -11,16 +11,16 @@ use portolan_worlds::two_d::Scene;
 
 use crate::commands::argument::pose_3d;
 
-/// A kind of surroundings, in 2D or in 3D.
+/// Kind of scene, 2D or 3D.
 #[derive(Clone, Copy, Debug)]
 pub enum AnyScene {
-    /// A floor that a robot with a planar lidar drives on.
+    /// Floor for a robot with a planar lidar.
     TwoD(Scene),
-    /// A world that one walks or drives through with spinning lidars.
+    /// World for a walker or a vehicle with spinning lidars.
     ThreeD(Scene3d),
 }
 
-/// What is simulated.
+/// Options of the simulator.
 pub enum AnyScenario {
     /// In 2D.
     TwoD(Box<ScenarioOptions>),
@@ -133,8 +133,8 @@ pub struct ScenarioArgs {
 }
 
 impl ScenarioArgs {
-    /// The options of the simulator, which checks the values; an error names an option that means
-    /// nothing in this scenario.
+    /// Options of the simulator, which checks the values. It is an error to give an option that does not apply to the
+    /// scenario.
     pub fn scenario(&self) -> Result<AnyScenario, String> {
         let misplaced = match self.scene {
             AnyScene::TwoD(_) => self.only_in_3d(),

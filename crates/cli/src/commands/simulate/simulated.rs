@@ -1,4 +1,4 @@
-//! What simulations in 2D and in 3D have in common.
+//! Common interface of 2D and 3D simulations.
 
 use std::io::{self, Write};
 
@@ -9,18 +9,18 @@ use portolan_simulator::{Simulation, Simulation3d};
 /// Writes surfaces.
 pub type SurfaceWriter<'a> = Box<dyn Fn(&mut dyn Write) -> io::Result<()> + 'a>;
 
-/// A recording with its truth.
+/// A simulated recording with its ground truth.
 pub trait Simulated: Recording {
-    /// True poses per second unless asked otherwise.
+    /// Default rate of true poses, Hz.
     fn usual_truth_rate(&self) -> f64;
 
-    /// Writes the true trajectory as TUM.
+    /// Writes the true trajectory in TUM format, at `rate` poses per second.
     fn write_truth(&self, out: &mut dyn Write, rate: f64) -> io::Result<()>;
 
-    /// Endings of files of surfaces, and what writes them.
+    /// File endings and writers of the true surfaces.
     fn surfaces(&self) -> Vec<(&'static str, SurfaceWriter<'_>)>;
 
-    /// Seconds and metres of the trajectory.
+    /// Duration, seconds, and path length, metres, of the trajectory.
     fn extent(&self) -> (f64, f64);
 }
 
@@ -63,7 +63,7 @@ impl Simulated for Simulation3d {
     }
 }
 
-/// Metres along poses.
+/// Path length along the poses, metres.
 fn path_length(poses: impl Iterator<Item = (Time, Rigid3)>) -> f64 {
     let mut positions = poses.map(|(_, pose)| pose.translation.vector);
     let Some(mut last) = positions.next() else { return 0.0 };

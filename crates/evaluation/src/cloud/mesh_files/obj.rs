@@ -22,7 +22,8 @@ pub(super) fn read(bytes: &[u8]) -> Mesh {
             }
             Some("f") => {
                 corners.clear();
-                // `corner/texture/normal`, of which the first counts; what is no number is no corner.
+                // `corner/texture/normal`: only the first number is used; a word that is not a number is an
+                // invalid corner.
                 corners.extend(words.map(|word| {
                     let number = word.split('/').next().and_then(|n| n.parse::<i64>().ok());
                     match number {

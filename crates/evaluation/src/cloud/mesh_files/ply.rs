@@ -5,7 +5,7 @@ use portolan_pointcloud::{PlyHeader, PlyHeaderError, PlyHeaderLines, PlyProperty
 use super::{Mesh, bad};
 use crate::EvaluationError;
 
-/// A face has no more corners than this.
+/// Maximum number of corners of a face.
 const MAX_CORNERS: usize = 1 << 16;
 
 pub(super) fn read(bytes: &[u8]) -> Result<Mesh, EvaluationError> {
@@ -39,14 +39,14 @@ pub(super) fn read(bytes: &[u8]) -> Result<Mesh, EvaluationError> {
     Ok(mesh)
 }
 
-/// Header, and where the data begin.
+/// The header, and the offset of the data.
 fn header(bytes: &[u8]) -> Result<(PlyHeader, usize), EvaluationError> {
     let (mut lines, mut position) = (PlyHeaderLines::default(), 0);
     for line in bytes.split_inclusive(|byte| *byte == b'\n') {
         position += line.len();
         let line = std::str::from_utf8(line).map_err(|_| bad("its header is not text"))?;
         if let Some(mut header) = lines.add(line).map_err(|error| bad(error.to_string()))? {
-            // Elements without properties would take no bytes and no end.
+            // Elements without properties take no bytes: nothing would bound the number of them.
             header.elements.retain(|e| !e.properties.is_empty());
             return Ok((header, position));
         }
@@ -54,7 +54,7 @@ fn header(bytes: &[u8]) -> Result<(PlyHeader, usize), EvaluationError> {
     Err(bad(PlyHeaderError::NoEnd.to_string()))
 }
 
-/// Numbers one after the other.
+/// Reads consecutive numbers.
 struct Values<'a> {
     storage: PlyStorage,
     rest: &'a [u8],

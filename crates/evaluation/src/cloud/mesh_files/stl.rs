@@ -3,7 +3,7 @@
 use super::{Mesh, bad};
 use crate::EvaluationError;
 
-/// Bytes of the head of a binary file, with the number of triangles, and of each triangle.
+/// Bytes of the header of a binary file, which includes the number of triangles, and of each triangle.
 const HEAD: usize = 84;
 const RECORD: usize = 50;
 
@@ -12,7 +12,8 @@ fn count(bytes: &[u8]) -> Option<usize> {
     usize::try_from(u32::from_le_bytes(number)).ok()
 }
 
-/// Text has facets soon after `solid`; binary files have exactly the length that their number of triangles asks for.
+/// Text files contain facets soon after `solid`. Binary files have exactly the length given by their number
+/// of triangles.
 pub(super) fn is_stl(bytes: &[u8]) -> bool {
     is_text(bytes) || count(bytes).is_some_and(|n| n > 0 && bytes.len() == HEAD + RECORD * n)
 }
@@ -46,7 +47,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Mesh, EvaluationError> {
     }
     for record in bytes.get(HEAD..).unwrap_or_default().chunks_exact(RECORD) {
         corners.clear();
-        // The normal comes first; it follows from the corners.
+        // The record starts with the normal, which is skipped because it follows from the corners.
         corners.extend(record[12..48].chunks_exact(12).map(|corner| {
             std::array::from_fn(|k| {
                 let b = &corner[4 * k..4 * k + 4];

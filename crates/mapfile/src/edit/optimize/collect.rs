@@ -1,4 +1,4 @@
-//! What the files of a draft say of its nodes, and its measurements.
+//! Collects the constant data of nodes and the measurements from the files of a draft.
 
 use std::collections::BTreeMap;
 
@@ -17,14 +17,14 @@ use portolan_pbstream::proto::mapping::serialized_data::Data;
 use portolan_pbstream::proto::transform::Rigid3d;
 use portolan_pbstream::{IdInFile, node_id, pose_from_proto};
 
-/// What does not change of a node, as far as the optimisation needs it.
+/// Constant data of a node for the optimisation.
 pub(in crate::edit) struct NodeFacts {
     pub time: Time,
     pub local_from_tracking: Rigid3,
     pub gravity_alignment: Quaternion,
 }
 
-/// What the files have besides poses and constraints.
+/// Content of the files besides poses and constraints.
 #[derive(Default)]
 pub(in crate::edit) struct Collected {
     pub nodes: BTreeMap<IdInFile, NodeFacts>,

@@ -1,4 +1,4 @@
-//! Questions to the database of a ROS 2 bag.
+//! Queries to the database of a ROS 2 bag.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -17,11 +17,11 @@ use portolan_ros_messages::Encoding;
 pub(super) struct Database {
     sqlite: Sqlite,
     source: Source,
-    /// Holds the bytes if they were in memory.
+    /// Temporary file of a database whose bytes were in memory.
     _unpacked: Option<Arc<UnpackedFile>>,
 }
 
-/// Where a message stands.
+/// Position of a message.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MessageRow {
     /// Nanoseconds since the Unix epoch.
@@ -31,14 +31,14 @@ pub(super) struct MessageRow {
 }
 
 impl MessageRow {
-    /// What messages are ordered by.
+    /// Sort key of messages.
     pub(super) fn key(&self) -> (i64, i64) {
         (self.timestamp, self.row)
     }
 }
 
 impl Database {
-    /// Opens the database for reading and sees whether it is one of ROS 2.
+    /// Opens the database for reading and checks whether it is one of ROS 2.
     pub(super) fn open(source: &Source, issues: &mut IssueLog) -> Result<Self, RecordingError> {
         let unpacked = match source {
             Source::Memory { name, bytes } => Some(Arc::new(unpack(name, bytes)?)),
@@ -53,13 +53,13 @@ impl Database {
             code(&tables),
             Some(ErrorCode::CannotOpen | ErrorCode::ReadOnly | ErrorCode::FileLockingProtocolFailed)
         ) {
-            // A write-ahead log beside it that cannot be used: read the database alone.
+            // The write-ahead log beside it cannot be used: read the database alone.
             sqlite = connect(path, true, work).map_err(error)?;
             tables = self::tables(&sqlite);
             issues.add(IssueKind::UnusableWriteAheadLog);
         }
         if code(&tables) == Some(ErrorCode::DatabaseCorrupt) {
-            // Among others this accepts files that are shorter than their header says.
+            // Among other things, this accepts files that are shorter than their header states.
             sqlite.pragma_update(None, "writable_schema", true).map_err(error)?;
             tables = self::tables(&sqlite);
             issues.add(IssueKind::DamagedDatabase);
@@ -76,7 +76,7 @@ impl Database {
         Ok(Self { sqlite, source: source.clone(), _unpacked: unpacked })
     }
 
-    /// The topics by number.
+    /// The topics by id.
     pub(super) fn topics(&self) -> Result<BTreeMap<i64, Connection>, RecordingError> {
         let read = || -> rusqlite::Result<_> {
             let mut statement =
@@ -108,7 +108,7 @@ impl Database {
         Some((one("SELECT min(timestamp) FROM messages")?, one("SELECT max(timestamp) FROM messages")?))
     }
 
-    /// Whether messages can be had in order of time without sorting.
+    /// Whether messages can be read in order of time without sorting.
     pub(super) fn has_time_index(&self) -> bool {
         let sql = "SELECT count(*) FROM pragma_index_list('messages') AS list, pragma_index_info(list.name) AS info \
                    WHERE list.partial = 0 AND info.seqno = 0 AND info.name = 'timestamp'";
@@ -123,7 +123,7 @@ impl Database {
         )
     }
 
-    /// Up to `limit` messages behind `(timestamp, row)` in order of time, by the index.
+    /// Up to `limit` messages after `(timestamp, row)` in order of time, from the index.
     pub(super) fn batch_by_index(&self, after: (i64, i64), limit: i64) -> rusqlite::Result<Vec<MessageRow>> {
         let mut statement = self.sqlite.prepare_cached(
             "SELECT timestamp, rowid, topic_id FROM messages WHERE (timestamp, rowid) > (?1, ?2) \
@@ -133,8 +133,8 @@ impl Database {
         rows.collect()
     }
 
-    /// Up to `limit` messages behind place `after` of the temporary table, and the place of the last. It is an error
-    /// if the table of messages has no such row any more.
+    /// Up to `limit` messages after position `after` of the temporary table, and the position of the last
+    /// one. It is an error if the table of messages no longer has such a row.
     pub(super) fn batch_by_order(
         &self,
         after: i64,
@@ -150,7 +150,7 @@ impl Database {
         Ok((places.last().copied(), batch))
     }
 
-    /// The first message behind row `after`, in order of rows.
+    /// The first message after row `after`, in order of rows.
     pub(super) fn next_row(&self, after: i64) -> rusqlite::Result<Option<MessageRow>> {
         let mut statement = self.sqlite.prepare_cached(
             "SELECT timestamp, rowid, topic_id FROM messages WHERE rowid > ?1 ORDER BY rowid LIMIT 1",
@@ -159,7 +159,7 @@ impl Database {
         rows.next().transpose()
     }
 
-    /// Hands the serialised message of a row to `use_data`.
+    /// Passes the serialised message of a row to `use_data`.
     pub(super) fn with_data<T>(&self, row: i64, use_data: impl FnOnce(&[u8]) -> T) -> rusqlite::Result<T> {
         let mut statement = self.sqlite.prepare_cached("SELECT data FROM messages WHERE rowid = ?1")?;
         statement.query_row([row], |row| match row.get_ref(0)? {
@@ -180,7 +180,7 @@ fn text(row: &Row<'_>, column: usize) -> rusqlite::Result<String> {
     })
 }
 
-/// Names of the real tables. Views and virtual tables could run anything, so they do not count.
+/// Names of the real tables. Views and virtual tables could run arbitrary code, so they are excluded.
 fn tables(sqlite: &Sqlite) -> rusqlite::Result<Vec<String>> {
     let mut statement = sqlite
         .prepare("SELECT name FROM sqlite_master WHERE type = 'table' AND sql NOT LIKE 'CREATE VIRTUAL%'")?;
@@ -188,15 +188,15 @@ fn tables(sqlite: &Sqlite) -> rusqlite::Result<Vec<String>> {
     rows.collect()
 }
 
-/// Steps of SQLite's machine for each byte of a database: a row takes about 60 of them in all (counting, sorting,
-/// fetching), and at least 14 bytes.
+/// Allowed steps of SQLite's virtual machine per byte of a database. A row takes about 60 steps in all
+/// (counting, sorting, fetching), and at least 14 bytes.
 const STEPS_PER_BYTE: u64 = 32;
-/// Steps that every database may take.
+/// Steps that are allowed for a database of any size.
 const FREE_STEPS: u64 = 10_000_000;
-/// After so many steps it is seen how many are left.
+/// Number of steps between two checks of the limit.
 const STEPS_AT_ONCE: u16 = 1000;
 
-/// How many steps one pass may take: pages of a damaged database that refer to each other would never end.
+/// Maximum number of steps of one pass: pages of a damaged database that refer to each other would never end.
 fn most_work(source: &Source, path: &Path) -> Result<u64, RecordingError> {
     let mut log = path.as_os_str().to_owned();
     log.push("-wal");
@@ -205,7 +205,7 @@ fn most_work(source: &Source, path: &Path) -> Result<u64, RecordingError> {
     Ok(bytes.saturating_mul(STEPS_PER_BYTE).saturating_add(FREE_STEPS))
 }
 
-/// Whether reading was ended because it took more steps than any sound database does.
+/// Whether reading was stopped because it took more steps than any intact database does.
 pub(super) fn is_endless(error: &rusqlite::Error) -> bool {
     error.sqlite_error_code() == Some(ErrorCode::OperationInterrupted)
 }

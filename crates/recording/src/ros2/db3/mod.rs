@@ -1,4 +1,4 @@
-//! ROS 2 bags in SQLite databases (`.db3`).
+//! Reads ROS 2 bags in SQLite databases (`.db3`).
 
 mod database;
 mod reader;
@@ -18,7 +18,8 @@ pub(crate) fn sniff(first_bytes: &[u8]) -> bool {
     first_bytes.starts_with(b"SQLite format 3\0")
 }
 
-/// Counting the messages of each topic reads the whole table; beyond this size it is left out.
+/// Size above which messages are not counted, bytes: counting the messages of each topic reads the whole
+/// table.
 const MAX_COUNTED_BYTES: u64 = 1 << 29;
 
 /// Opens a database.
@@ -35,7 +36,7 @@ pub(crate) fn open(source: Source) -> Result<Box<dyn Recording>, RecordingError>
 struct Db3Recording {
     source: Source,
     size_bytes: u64,
-    /// By their number in the database.
+    /// By topic id in the database.
     connections: BTreeMap<i64, Connection>,
     counts: Option<BTreeMap<i64, u64>>,
     /// Nanoseconds since the Unix epoch.

@@ -1,4 +1,4 @@
-//! Reading the messages of a database in order of log time.
+//! Reads the messages of a database in order of log time.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -9,23 +9,23 @@ use crate::container::{Connection, MessageDecoder};
 use crate::{MessageReader, RecordedMessage, RecordingError};
 use portolan_issue::{Issue, IssueKind, IssueLog};
 
-/// So many places of messages are fetched at once; their data one by one.
+/// Number of message positions that are fetched at once; their data are fetched one by one.
 const BATCH: i64 = 512;
-/// So many unreadable rows in a row are tried one by one; behind them steps get longer, because whole
-/// branches of the table are gone.
+/// Number of consecutive unreadable rows that are tried one by one. After them steps get longer, because
+/// whole branches of the table are lost.
 const UNREADABLE_ROWS: u32 = 256;
-/// Each step is tried so often before it is doubled.
+/// Number of tries with one step length before it is doubled.
 const TRIES_PER_STEP: u32 = 64;
-/// Steps beyond this end the table.
+/// Maximum step length, rows; beyond it the table ends.
 const MAX_STEP: i64 = 1 << 32;
 
-/// How the next messages are found.
+/// Method of finding the next messages.
 enum Order {
-    /// The database's index of times; last key delivered.
+    /// The database's index of times; key of the last message delivered.
     Index((i64, i64)),
-    /// A sorted temporary table; last place and key delivered.
+    /// A sorted temporary table; position and key of the last message delivered.
     Sorted(i64, (i64, i64)),
-    /// Damage: row by row from this row, leaving out what came at or before the key.
+    /// For a damaged database: row by row after this row, without messages at or before the key.
     Rows {
         after: i64,
         delivered: (i64, i64),
@@ -36,7 +36,7 @@ enum Order {
 /// One pass over a database.
 pub(super) struct Db3Reader {
     database: Database,
-    /// Topics by number; `None` for those not wanted.
+    /// Topics by id; `None` for those that were not requested.
     topics: BTreeMap<i64, Option<Connection>>,
     order: Order,
     batch: VecDeque<MessageRow>,
@@ -76,7 +76,7 @@ impl Db3Reader {
         }
     }
 
-    /// Fetches further places of messages; none at the end.
+    /// Fetches further message positions; none at the end.
     fn fill(&mut self) {
         let delivered = match &mut self.order {
             Order::Index(after) => match self.database.batch_by_index(*after, BATCH) {
@@ -88,13 +88,15 @@ impl Db3Reader {
                 Ok(_) | Err(_) => *after,
             },
             Order::Sorted(after, key) => match self.database.batch_by_order(*after, BATCH) {
-                // The same message twice: pages of the table refer to each other.
+                // `ascends` rejects repeated messages, which occur if pages of a damaged table refer to each
+                // other.
                 Ok((place, batch)) if ascends(*key, &batch) => {
                     (*after, *key) = (place.unwrap_or(*after), batch.last().map_or(*key, MessageRow::key));
                     self.batch = batch.into();
                     return;
                 }
-                // Rows behind the last one delivered: what came before is in order of time.
+                // Continue after the last message delivered: everything up to it was delivered in order of
+                // time.
                 Ok(_) | Err(_) => (self.last_time, i64::MAX),
             },
             Order::Rows { .. } => return self.fill_by_rows(),
@@ -119,12 +121,12 @@ impl Db3Reader {
                     }
                     continue;
                 }
-                // Nothing comes behind the last number that there is.
+                // There are no rows after this one.
                 Ok(None) => {}
                 Err(error) if is_endless(&error) => {
                     self.issues.add(IssueKind::EndlessDatabase);
                 }
-                // An earlier row than asked for is as good as none: pages are mixed up.
+                // A row before the requested one counts as unreadable: the pages are mixed up.
                 Ok(Some(_)) | Err(_) if step_over(unreadable) <= MAX_STEP => {
                     if unreadable == 0 {
                         self.issues.add(IssueKind::DatabaseGap);
@@ -158,12 +160,12 @@ impl Db3Reader {
     }
 }
 
-/// Whether the keys of a batch grow, and are all behind `after`: those of a damaged index need not.
+/// Whether the keys of a batch ascend and are all after `after`; in a damaged index they may not.
 fn ascends(after: (i64, i64), batch: &[MessageRow]) -> bool {
     batch.first().is_none_or(|first| first.key() > after) && batch.is_sorted_by(|a, b| a.key() < b.key())
 }
 
-/// How many rows to go on after so many unreadable ones.
+/// Number of rows to skip after this number of consecutive unreadable ones.
 fn step_over(unreadable: u32) -> i64 {
     1i64.checked_shl(unreadable.saturating_sub(UNREADABLE_ROWS) / TRIES_PER_STEP).unwrap_or(i64::MAX)
 }
@@ -190,7 +192,7 @@ impl MessageReader for Db3Reader {
         }
     }
 
-    /// Rows do not tell where they lie; time tells how far the pass is.
+    /// The position of rows in the file is not known, so progress is estimated from the log time.
     fn position_bytes(&self) -> u64 {
         let Some((first, last)) = self.time_range.filter(|(first, last)| first < last) else { return 0 };
         let (first, last) = (first as f64, last as f64);

@@ -1,7 +1,7 @@
-//! MCAP files.
+//! Reads and writes MCAP files.
 //!
-//! Records of one byte of kind, eight bytes of length and content; messages lie in chunks or loose; a
-//! summary at the end repeats schemas and channels and lists the chunks.
+//! A record is one byte of type, eight bytes of length, and content. Messages are in chunks or outside of
+//! them. A summary at the end repeats schemas and channels and lists the chunks.
 
 mod record;
 mod scan;

@@ -21,12 +21,12 @@ pub(crate) const STATISTICS: u8 = 0x0b;
 pub(crate) const SUMMARY_OFFSET: u8 = 0x0e;
 pub(crate) const DATA_END: u8 = 0x0f;
 
-/// Kind and length in front of every record's content.
+/// Bytes of type and length before every record's content.
 pub(crate) const RECORD_HEAD_BYTES: usize = 9;
-/// Channel, sequence number, two times in front of a message's data.
+/// Bytes of channel, sequence number and two times before a message's data.
 pub(crate) const MESSAGE_HEAD_BYTES: usize = 22;
 
-/// Reads the values inside of a record one after the other; `None` past the end.
+/// Reads the values of a record one after the other; `None` past the end.
 pub(crate) struct Text<'a> {
     rest: &'a [u8],
 }
@@ -52,7 +52,7 @@ impl<'a> Text<'a> {
         self.array().map(u64::from_le_bytes)
     }
 
-    /// Bytes with a length of four bytes in front.
+    /// Bytes after their length in four bytes.
     pub(crate) fn bytes(&mut self) -> Option<&'a [u8]> {
         let length = self.u32()?;
         self.take(length as usize)
@@ -78,9 +78,9 @@ impl<'a> Text<'a> {
 /// Start of a record in the file.
 pub(crate) struct PeekedRecord {
     pub(crate) op: u8,
-    /// Size of the whole record; saturated if it lies.
+    /// Size of the whole record, bytes; saturates if the stated length is too large.
     pub(crate) record_bytes: u64,
-    /// The content, cut off at the length that was asked for.
+    /// The content, cut off at the requested length.
     pub(crate) content: Vec<u8>,
 }
 
@@ -105,15 +105,15 @@ pub(crate) struct ChunkHead {
     pub(crate) last: u64,
     pub(crate) unpacked_bytes: u64,
     pub(crate) crc: u32,
-    /// `None` for a compression that is not known.
+    /// `None` for an unknown compression.
     pub(crate) compression: Option<Compression>,
-    /// From the start of the content to the (compressed) records.
+    /// Bytes from the start of the content to the (compressed) records.
     pub(crate) records_start: u64,
     pub(crate) records_bytes: u64,
 }
 
 impl ChunkHead {
-    /// From the first bytes of a chunk's content.
+    /// Parses the first bytes of a chunk's content.
     pub(crate) fn parse(content: &[u8]) -> Option<Self> {
         let mut text = Text::new(content);
         let (first, last) = (text.u64()?, text.u64()?);
@@ -125,7 +125,7 @@ impl ChunkHead {
     }
 }
 
-/// Schemas and channels as they are met.
+/// Schemas and channels read so far.
 #[derive(Debug, Default)]
 pub(crate) struct Channels {
     /// Name of every schema.
@@ -134,7 +134,7 @@ pub(crate) struct Channels {
 }
 
 impl Channels {
-    /// Takes in the content of a schema record; false if it is malformed.
+    /// Adds the content of a schema record; false if it is malformed.
     pub(crate) fn add_schema(&mut self, content: &[u8]) -> bool {
         let mut text = Text::new(content);
         let (Some(id), Some(name), Some(_encoding), Some(_definition)) =
@@ -146,7 +146,7 @@ impl Channels {
         true
     }
 
-    /// Takes in the content of a channel record; false if it is malformed or its schema is not known.
+    /// Adds the content of a channel record; false if it is malformed or its schema is not known.
     pub(crate) fn add_channel(&mut self, content: &[u8]) -> bool {
         let mut text = Text::new(content);
         let (Some(id), Some(schema), Some(topic), Some(encoding), Some(_metadata)) =
@@ -168,7 +168,7 @@ impl Channels {
         true
     }
 
-    /// Takes in a schema or channel record that lies in memory, whole.
+    /// Adds a whole schema or channel record in memory.
     pub(crate) fn add_record(&mut self, record: &[u8]) -> bool {
         match record.split_at_checked(RECORD_HEAD_BYTES) {
             Some(([SCHEMA, ..], content)) => self.add_schema(content),
@@ -181,8 +181,8 @@ impl Channels {
 /// The records inside of a chunk.
 #[derive(Debug)]
 pub(crate) struct McapFormat {
-    /// Channels that exist: what claims to be a message after damage must belong to one of them. Empty
-    /// while they are not known.
+    /// Channels that exist: after damage, a message record must belong to one of them. Empty while they are
+    /// not known.
     pub(crate) channels: BTreeSet<u16>,
 }
 
@@ -207,10 +207,11 @@ impl RecordFormat for McapFormat {
         Some(Record { end, content })
     }
 
-    /// There is no mark to look for, so that a place counts as a record only if everything about it fits.
+    /// Records have no magic number to search for, so a position counts as a record only if all of its fields
+    /// are plausible.
     fn find_record(&self, data: &[u8], from: usize) -> Option<usize> {
         let plausible = |at: &usize| {
-            // The upper half of a length is zero; this rejects nearly every place at once.
+            // The upper half of a length is zero; this check alone rejects almost every position.
             if !matches!(data.get(*at..), Some([SCHEMA..=MESSAGE, _, _, _, _, 0, 0, 0, 0, ..])) {
                 return false;
             }

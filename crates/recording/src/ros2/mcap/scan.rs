@@ -1,7 +1,7 @@
-//! From an MCAP file to the segments that hold its messages.
+//! Finds the segments of an MCAP file that hold its messages.
 //!
-//! As with bags, the file is always walked record by record, and a whole summary only spares looking at
-//! the message indexes behind each chunk.
+//! As with bags, the file is always read record by record. An intact summary only avoids reading the message
+//! indexes after each chunk.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -17,18 +17,18 @@ use crate::container::{
 };
 use portolan_issue::IssueKind;
 
-/// Enough of a record to see what it is.
+/// Bytes of a record that are read to find out what it is.
 const PEEK_BYTES: usize = 256;
-/// Larger schemas and channels are not believed.
+/// Maximum size of a schema or channel record, bytes; larger ones are taken as damage.
 const MAX_DESCRIPTION_BYTES: u64 = 1 << 24;
 
-/// Finds everything between `start` and the summary; also returns the channels that exist.
+/// Finds all segments between `start` and the summary; also returns the channels that exist.
 pub(crate) fn scan(
     file: &mut FileBytes,
     start: u64,
     summary: Summary,
 ) -> Result<(ChunkIndex, BTreeSet<u16>), RecordingError> {
-    // Counts of all channels come from the statistics, or from looking at every message index.
+    // Counts of all channels come from the statistics, or from every message index.
     let trusted = summary.statistics.as_ref().is_some_and(|statistics| {
         let counted: u64 = statistics.counts.values().fold(0, |sum, n| sum.saturating_add(*n));
         statistics.chunk_count as usize == summary.chunks.len() && counted == statistics.message_count
@@ -76,15 +76,16 @@ struct Scan<'a> {
     visited_chunks: usize,
 }
 
-/// What bounds the records of a chunk. The length stands twice in it: an intact one agrees with itself and with what follows.
+/// The bounds of a chunk's records. The chunk contains its length twice: in an intact chunk both agree with
+/// each other and with the next record.
 struct ChunkBounds {
-    /// Where the records begin.
+    /// Start of the records.
     data: u64,
-    /// Where they end by the length of the records.
+    /// End of the records, from the length of the records.
     data_end: u64,
-    /// Where they end by the length of the chunk.
+    /// End of the records, from the length of the chunk.
     record_end: u64,
-    /// Where the next chunk begins by the summary; the end of the messages if it names none.
+    /// Start of the next chunk in the summary; the end of the messages if there is none.
     next_chunk: u64,
 }
 
@@ -138,7 +139,7 @@ impl Scan<'_> {
         Ok(())
     }
 
-    /// Takes one record in; returns where the next one starts.
+    /// Processes one record; returns the offset of the next one.
     fn record(&mut self, at: u64, record: &PeekedRecord) -> Result<u64, RecordingError> {
         let end = at.saturating_add(record.record_bytes);
         match record.op {
@@ -175,7 +176,7 @@ impl Scan<'_> {
         Ok(end)
     }
 
-    /// Takes a chunk in; returns where the next record starts.
+    /// Processes a chunk; returns the offset of the next record.
     fn chunk(&mut self, at: u64, record: &PeekedRecord) -> Result<u64, RecordingError> {
         let Some(head) = ChunkHead::parse(&record.content) else {
             self.index.issues.add(IssueKind::UnreadableBytes);
@@ -190,7 +191,7 @@ impl Scan<'_> {
             return Ok(bounds.record_end.min(bounds.next_chunk));
         };
         if compression == Compression::None && (lies || head.records_bytes > MAX_SEGMENT_BYTES) {
-            // Its records are as good outside of it.
+            // An uncompressed chunk needs no boundary: its records can be read as if they were outside of it.
             if lies {
                 self.index.issues.add(IssueKind::WrongChunkLength);
             }
@@ -210,7 +211,7 @@ impl Scan<'_> {
         let is_sound = |place: &ChunkPlace| !lies && self.is_as_summarized(record, &head, place);
         if let Some(place) = place.filter(is_sound) {
             let next = data_end.saturating_add(place.message_index_bytes);
-            // Without message indexes it is not known which channels a chunk holds.
+            // Without message indexes the channels of a chunk are not known.
             let connections = (!place.channels.is_empty()).then(|| Arc::from(place.channels));
             if next <= bounds.next_chunk {
                 self.index.push(Segment { connections, ..segment });
@@ -231,7 +232,8 @@ impl Scan<'_> {
         }
     }
 
-    /// Where the records of a chunk end whose lengths contradict: at the first end that is possible, or where a record follows.
+    /// The likely end of the records of a chunk whose lengths contradict each other: the first possible end,
+    /// or where a record follows.
     fn likely_data_end(&mut self, bounds: &ChunkBounds) -> Result<u64, RecordingError> {
         let possible = bounds.data..=bounds.next_chunk;
         let ends = [bounds.data_end, bounds.record_end].into_iter();
@@ -241,22 +243,22 @@ impl Scan<'_> {
         }
     }
 
-    /// Whether a chunk is what a trusted summary says of it, and all of its channels are known.
+    /// Whether a chunk matches its entry in a trusted summary, and all of its channels are known.
     fn is_as_summarized(&self, record: &PeekedRecord, head: &ChunkHead, place: &ChunkPlace) -> bool {
-        // A chunk without messages has no times either.
+        // A chunk without messages has no times.
         let has_times = head.last > 0;
         let known = |id: &u32| self.summary.channels.connections.contains_key(id);
         self.trusted
             && place.chunk_bytes == record.record_bytes
             && (has_times || !place.channels.is_empty())
             && match (place.channels.as_slice(), &self.summary.statistics) {
-                // Without message indexes it may hold any channel.
+                // Without message indexes it may have messages of any channel.
                 ([], Some(statistics)) => statistics.counts.keys().all(known),
                 (channels, _) => channels.iter().all(known),
             }
     }
 
-    /// Takes in the message index of one channel of the chunk before it.
+    /// Processes the message index of one channel of the chunk before it.
     fn message_index(&mut self, record: &PeekedRecord) {
         let Some(pending) = &mut self.pending else { return };
         let mut text = Text::new(&record.content);
@@ -269,8 +271,8 @@ impl Scan<'_> {
         }
     }
 
-    /// Ends the chunk before the current record. Without sound message indexes, or if they name unknown
-    /// channels, it is decompressed to see what is in it.
+    /// Completes the chunk before the current record. If its message indexes are missing or not valid, or
+    /// name unknown channels, the chunk is decompressed to find out what is in it.
     fn finish_pending(&mut self) -> Result<(), RecordingError> {
         let Some(mut pending) = self.pending.take() else { return Ok(()) };
         let known = |id: &u32| self.summary.channels.connections.contains_key(id);
@@ -297,7 +299,7 @@ impl Scan<'_> {
         Ok(())
     }
 
-    /// Where the next record starts that looks sound, at or behind `from`.
+    /// Offset of the next record that looks valid, at or after `from`.
     fn find_record(&mut self, from: u64) -> Result<Option<u64>, RecordingError> {
         const OVERLAP: u64 = 1 << 10;
         let mut block_bytes = 1 << 13;
@@ -321,12 +323,12 @@ impl Scan<'_> {
     }
 }
 
-/// The bytes from each place to their end.
+/// The suffixes of `bytes` at every position.
 fn suffixes(bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
     (0..bytes.len()).filter_map(|place| bytes.get(place..))
 }
 
-/// Whether bytes outside of chunks look like the start of a record, given how much of the file is left.
+/// Whether bytes outside of chunks look like the start of a record, if `left` bytes of the file remain.
 fn plausible(bytes: &[u8], left: u64, format: &McapFormat) -> bool {
     let mut text = Text::new(bytes);
     let Some([op @ SCHEMA..=MESSAGE_INDEX | op @ DATA_END]) = text.take(1) else { return false };

@@ -1,4 +1,4 @@
-//! The summary at the end of an MCAP file.
+//! Reads the summary at the end of an MCAP file.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use super::record::{
 use crate::RecordingError;
 use crate::container::FileBytes;
 
-/// Where a chunk and the message indexes behind it end, and the channels in it.
+/// Sizes of a chunk and of the message indexes after it, and the channels in it.
 #[derive(Clone, Debug)]
 pub(crate) struct ChunkPlace {
     pub(crate) chunk_bytes: u64,
@@ -27,18 +27,18 @@ pub(crate) struct Statistics {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum SummaryState {
     Whole,
-    /// The writer wrote none.
+    /// The writer did not write one.
     Absent,
-    /// The file does not end as it should.
+    /// The end of the file is missing.
     CutOff,
     Damaged,
 }
 
-/// The summary, if it is whole; otherwise empty.
+/// The summary, if it is complete; otherwise empty.
 #[derive(Debug)]
 pub(crate) struct Summary {
     pub(crate) state: SummaryState,
-    /// Where the messages end.
+    /// End of the messages.
     pub(crate) data_end: u64,
     pub(crate) channels: Channels,
     pub(crate) chunks: BTreeMap<u64, ChunkPlace>,
@@ -53,7 +53,7 @@ impl Summary {
 }
 
 const FOOTER_BYTES: u64 = RECORD_HEAD_BYTES as u64 + 20;
-/// A longer summary is not believed, and not needed.
+/// Maximum size of a summary, bytes; a longer one is ignored, because the summary is not required.
 const MAX_SUMMARY_BYTES: u64 = 1 << 30;
 
 /// Reads the summary.
@@ -100,7 +100,7 @@ fn parse(section: &[u8], summary: &mut Summary) -> Option<()> {
         let content = text.take(length)?;
         match op {
             SCHEMA if !summary.channels.add_schema(content) => return None,
-            // Summaries may leave out schemas; such channels are found in the chunks.
+            // Summaries may omit schemas; the channels of those schemas are found in the chunks.
             CHANNEL => drop(summary.channels.add_channel(content)),
             CHUNK_INDEX => {
                 let (offset, place) = chunk_place(content)?;

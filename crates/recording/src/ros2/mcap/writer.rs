@@ -1,4 +1,4 @@
-//! Writing MCAP files of the profile `ros2`.
+//! Writes MCAP files of the profile `ros2`.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -13,11 +13,11 @@ use crate::output_file::OutputFile;
 use crate::{McapCompression, RecordedMessage, RecordingError, RecordingWriter};
 use portolan_ros_messages::{Dialect, definition, encode};
 
-/// Chunks are closed at this size.
+/// Size at which a chunk is closed, bytes.
 const CHUNK_BYTES: usize = 1 << 20;
 const ZSTD_LEVEL: i32 = 3;
 
-/// Writes an MCAP file with CDR messages, as ROS 2 records it.
+/// Writes an MCAP file with CDR messages, like a ROS 2 recording.
 pub(crate) struct McapWriter {
     file: OutputFile,
     compression: McapCompression,
@@ -228,14 +228,14 @@ fn bytes_of(build: impl FnOnce(RecordBytes) -> RecordBytes) -> Vec<u8> {
     build(RecordBytes::default()).bytes
 }
 
-/// Builds a record, or a part of one.
+/// Builds a record or a part of one.
 #[derive(Default)]
 struct RecordBytes {
     bytes: Vec<u8>,
 }
 
 impl RecordBytes {
-    /// A record; its length is set in the end.
+    /// Starts a record; its length is set at the end.
     fn new(op: u8) -> Self {
         let mut head = [0; RECORD_HEAD_BYTES];
         head[0] = op;
@@ -246,7 +246,7 @@ impl RecordBytes {
         self.finish_before(0)
     }
 
-    /// Sets the length of a record of which so many more bytes follow.
+    /// Sets the length of a record, of which `more` bytes follow.
     fn finish_before(mut self, more: usize) -> Vec<u8> {
         let length = (self.bytes.len() - RECORD_HEAD_BYTES + more) as u64;
         for (byte, value) in self.bytes.iter_mut().skip(1).zip(length.to_le_bytes()) {
@@ -276,12 +276,12 @@ impl RecordBytes {
         self.raw(&value.to_le_bytes())
     }
 
-    /// Bytes with a length of four bytes.
+    /// Bytes after their length in four bytes.
     fn bytes(self, bytes: &[u8]) -> Self {
         self.u32(bytes.len() as u32).raw(bytes)
     }
 
-    /// Bytes with a length of eight bytes.
+    /// Bytes after their length in eight bytes.
     fn long_bytes(self, bytes: &[u8]) -> Self {
         self.u64(bytes.len() as u64).raw(bytes)
     }

@@ -56,7 +56,7 @@ impl GraphPose for Rigid3 {
 
     fn mean_information(information: &Self::Information) -> (f64, f64) {
         let d = information.0.diagonal();
-        // A quaternion's vector part is half the angle.
+        // The vector part of a quaternion is half the angle.
         ((d[0] + d[1] + d[2]) / 3.0, (d[3] + d[4] + d[5]) / 12.0)
     }
 
@@ -73,7 +73,7 @@ impl GraphPose for Rigid3 {
         let matrix = na::Matrix3::from_rows(&[a.into(), b.into(), c.into()]);
         let svd = matrix.try_svd(true, true, f64::EPSILON, 100)?;
         let (u, v) = (svd.u?, svd.v_t?);
-        // Rank two is enough: the third direction follows.
+        // Rank two suffices: the third direction follows.
         if svd.singular_values[1] <= 1e-9 {
             return None;
         }

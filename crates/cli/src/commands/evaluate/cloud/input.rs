@@ -1,4 +1,4 @@
-//! The clouds that are judged.
+//! Reads the clouds that are evaluated.
 
 use std::path::{Path, PathBuf};
 
@@ -16,32 +16,32 @@ use crate::commands::evaluate::input::read_trajectory;
 use crate::commands::refine::points::{PointArgs, read_points};
 use crate::error::CliError;
 
-/// Of a file so many times the sample is read before it is thinned evenly.
+/// Number of points that are read from a file before they are thinned evenly to the sample, as a multiple of its size.
 const SPARE: usize = 4;
 
-/// A cloud that is judged.
+/// A cloud that is evaluated.
 pub struct JudgedCloud {
-    /// Its file, or that of its trajectory.
+    /// Path of the cloud, or of its trajectory.
     pub name: String,
-    /// Points before they were thinned.
+    /// Number of points before thinning.
     pub total: u64,
-    /// Metres.
+    /// Points, metres.
     pub points: Vec<[f64; 3]>,
-    /// Times of the points; empty if they are not known.
+    /// Times of the points, seconds; empty if unknown.
     pub seconds: Vec<f64>,
-    /// Where the same points lie in the first cloud; empty if these are other points.
+    /// Positions of the same points in the first cloud, metres; empty if the clouds have no common points.
     pub places: Vec<[f64; 3]>,
-    /// How the cloud is laid onto the truth, if its trajectory tells.
+    /// Alignment of the cloud with the truth, from the trajectories; none without a true trajectory.
     pub truth_from_cloud: Option<Rigid3>,
 }
 
-/// All of them.
+/// All clouds that are evaluated.
 pub struct Clouds {
     pub clouds: Vec<JudgedCloud>,
     pub lost_data: bool,
 }
 
-/// Reads clouds, or a recording and trajectories: the first file tells.
+/// Reads clouds, or a recording and trajectories: the format of the first file decides.
 pub fn read_clouds(
     inputs: &[PathBuf],
     point_args: &PointArgs,
@@ -140,7 +140,7 @@ fn dense(trajectory: &Trajectory) -> Result<DenseTrajectory, CliError> {
     DenseTrajectory::new(&poses).map_err(|error| CliError::Failed(error.to_string()))
 }
 
-/// Up to `sample` points, spread over all, that every trajectory covers.
+/// Indices of up to `sample` evenly spread points, without those at times that a trajectory does not cover.
 fn within_all(store: &PointStore, trajectories: &[DenseTrajectory], sample: usize) -> Vec<u32> {
     let spans: Vec<(f64, f64)> =
         trajectories.iter().map(|t| (store.start().seconds_since(t.start()), t.duration())).collect();

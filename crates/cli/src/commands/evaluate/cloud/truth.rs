@@ -1,4 +1,4 @@
-//! What the true surfaces are.
+//! Reads the true surfaces that clouds are compared with.
 
 use std::path::{Path, PathBuf};
 
@@ -12,7 +12,7 @@ use crate::input::read_bytes;
 use crate::output::counted;
 use crate::progress::say;
 
-/// Points of a reference cloud that are kept at most: about 1 GB with its tree.
+/// Maximum number of points of a reference cloud; they take about 1 GB with the search tree.
 const REFERENCE_POINTS: usize = 30_000_000;
 
 /// The truth that clouds are compared with.
@@ -38,23 +38,23 @@ pub struct TruthArgs {
     truth: Option<PathBuf>,
 }
 
-/// Surfaces, and how clouds are compared with them.
+/// True surfaces, and how clouds are compared with them.
 pub struct Truth {
     surfaces: TrueSurfaces,
     fit: bool,
-    /// Points farther away do not count, metres.
+    /// Distance from the surfaces beyond which points are left out, metres.
     pub beyond: f64,
     /// Whether some of the surfaces could not be read.
     pub lost_data: bool,
 }
 
 impl TruthArgs {
-    /// The true trajectory.
+    /// Path of the true trajectory.
     pub fn trajectory(&self) -> Option<&Path> {
         self.truth.as_deref()
     }
 
-    /// Reads the surfaces; none if there are none to compare with.
+    /// Reads the surfaces; none if no surfaces were given.
     pub fn read(&self, global: &GlobalArgs) -> Result<Option<Truth>, CliError> {
         let beyond = self.beyond.unwrap_or(f64::INFINITY);
         if beyond.is_nan() || beyond <= 0.0 {
@@ -74,7 +74,7 @@ impl TruthArgs {
     }
 }
 
-/// Surfaces, and whether some of them could not be read.
+/// Reads surfaces; returns also whether some of them could not be read.
 fn surfaces(path: &Path, quiet: bool) -> Result<(TrueSurfaces, bool), CliError> {
     let bytes = read_bytes(path)?;
     let none = || CliError::in_file(path, "there are no surfaces in it");
@@ -102,8 +102,8 @@ fn reference(path: &Path, quiet: bool) -> Result<(TrueSurfaces, bool), CliError>
 }
 
 impl Truth {
-    /// Distance of each point to the nearest surface, metres; the cloud is laid onto the truth first, by the
-    /// transform if there is one.
+    /// Distance of each point to the nearest surface, metres. The cloud is aligned with the truth first: by the given
+    /// transform, else by a fit if requested.
     pub fn distances(&self, points: &[[f64; 3]], truth_from_cloud: Option<&Rigid3>) -> Vec<f64> {
         let fitted = self.fit.then(|| self.surfaces.fit(points));
         match truth_from_cloud.copied().or(fitted) {
