@@ -49,7 +49,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_what_was_made_and_stayed_empty_goes() {
+    fn only_created_folders_that_stayed_empty_are_removed() {
         let here = tempfile::tempdir().unwrap();
         let at = |name: &str| here.path().join(name);
         fs::create_dir(at("a")).unwrap();
@@ -65,7 +65,7 @@ mod tests {
     }
 
     #[test]
-    fn what_takes_no_files_is_refused() {
+    fn folders_that_take_no_files_are_refused() {
         let here = tempfile::tempdir().unwrap();
         fs::write(here.path().join("file"), "").unwrap();
         let error = ResultFolder::make(here.path().join("file")).unwrap_err().to_string();

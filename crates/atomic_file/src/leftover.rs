@@ -64,7 +64,7 @@ mod tests {
     use crate::AtomicFile;
 
     #[test]
-    fn what_nobody_writes_is_removed() {
+    fn abandoned_temporary_files_are_removed() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         for name in [".portolan-dead.tmp", ".portolan.tmp", "portolan-x.tmp", ".portolan-x.tmp.old"] {

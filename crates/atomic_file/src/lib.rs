@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn says_what_is_missing() {
+    fn errors_name_the_missing_folder() {
         let folder = tempfile::tempdir().unwrap();
         let error = AtomicFile::create(folder.path().join("no/such/map")).err().unwrap();
         assert!(error.to_string().contains("does not exist"), "{error}");
@@ -320,7 +320,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn links_laid_in_the_way_are_not_followed() {
+    fn symbolic_links_at_temporary_names_are_not_followed() {
         let folder = tempfile::tempdir().unwrap();
         let (victim, path) = (folder.path().join("victim"), folder.path().join("map"));
         fs::write(&victim, "precious").unwrap();
@@ -337,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn of_writers_at_one_time_one_leaves_a_whole_file() {
+    fn one_of_several_concurrent_writers_leaves_a_whole_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("map");
         let mut files: Vec<AtomicFile> = (0..4).map(|_| AtomicFile::create(&path).unwrap()).collect();

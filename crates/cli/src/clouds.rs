@@ -15,7 +15,7 @@ use crate::progress::say;
 /// # Errors
 /// Fails if the file cannot be read or has no points.
 pub fn read_cloud(path: &Path, limit: usize, quiet: bool) -> Result<ReadCloud, CliError> {
-    told(portolan::job::read_cloud(path, limit), path, quiet)
+    reported(portolan::job::read_cloud(path, limit), path, quiet)
 }
 
 /// As [`read_cloud`], from a reader; `path` is used in messages only.
@@ -28,17 +28,17 @@ pub fn read_cloud_from(
     limit: usize,
     quiet: bool,
 ) -> Result<ReadCloud, CliError> {
-    told(portolan::job::read_cloud_from(reader, limit), path, quiet)
+    reported(portolan::job::read_cloud_from(reader, limit), path, quiet)
 }
 
-fn told(cloud: Result<ReadCloud, CloudError>, path: &Path, quiet: bool) -> Result<ReadCloud, CliError> {
+fn reported(cloud: Result<ReadCloud, CloudError>, path: &Path, quiet: bool) -> Result<ReadCloud, CliError> {
     let cloud = cloud.map_err(|error| CliError::Failed(error.to_string()))?;
     for issue in cloud.issues.iter().filter(|_| !quiet) {
         say(&format!("{}: {} ({})", path.display(), issue, counted(issue.count, "time", "times")));
     }
     if cloud.not_finite > 0 && !quiet {
         say(&format!(
-            "{}: {} with coordinates that are no numbers left out",
+            "{}: {} with coordinates that are not numbers were left out",
             path.display(),
             counted(cloud.not_finite, "point", "points")
         ));

@@ -134,7 +134,7 @@ impl From<JobError> for CliError {
                 Self::Usage("--engine planes is for 3D; 2D scans are matched to grids".to_owned())
             }
             JobError::AmbiguousFrozen => Self::Usage(
-                "--frozen=TRAJECTORIES does not say which of the maps it means; freeze all, or go on with one"
+                "--frozen=TRAJECTORIES is ambiguous with several maps; freeze all of them, or continue only one"
                     .to_owned(),
             ),
             other => Self::Failed(other.to_string()),

@@ -26,10 +26,11 @@ pub enum ExitStatus {
 
 impl ExitStatus {
     /// Table of exit codes for help pages.
-    pub const TABLE: &str = "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done with loss (data of the input, ties \
-        between pieces of a map, or places of a recording in a known map are missing); 4 ran to its end, but nothing of the result can be trusted \
-        (clouds that do not overlap, a known map that was not found, a start that is refuted, a refinement that was \
-        refused, a map that is not finite); 130 interrupted; 141 nobody read the output.";
+    pub const TABLE: &str = "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done with loss (missing are data of \
+        the input, constraints between pieces of a map, or poses of a recording in a known map); 4 ran to its end, \
+        but nothing of the result can be trusted (clouds that do not overlap, a recording that was not localised in \
+        a known map, a start that scans contradict, a refinement that was rejected, a map that is not finite); \
+        130 interrupted; 141 the reader of the output has closed the pipe.";
 }
 
 impl From<ExitStatus> for ExitCode {

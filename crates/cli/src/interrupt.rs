@@ -19,7 +19,9 @@ pub fn watch(quiet: bool) {
         }
         if !quiet {
             // On another thread: a blocked stderr must not delay the handling of the next signal.
-            std::thread::spawn(|| say("stopping: what was done is saved; once more to stop at once"));
+            std::thread::spawn(|| {
+                say("stopping: the results so far are saved; interrupt once more to stop at once")
+            });
         }
     });
     if let Err(error) = installed {
@@ -34,7 +36,7 @@ pub fn watch(quiet: bool) {
 fn outlive_limits_of_files() {
     let handled = std::sync::Arc::new(AtomicBool::new(false));
     if let Err(error) = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, handled) {
-        tracing::warn!("a limit on the size of files will end the program: {error}");
+        tracing::warn!("exceeding a limit on the size of files will end the program: {error}");
     }
 }
 

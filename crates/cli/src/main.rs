@@ -21,9 +21,9 @@ use exit::ExitStatus;
 
 /// Text of the help page below the list of verbs.
 fn after_help() -> String {
-    let examples = "Try:\n  portolan demo                     a simulated building, mapped and measured\n  \
-        portolan info RECORDING           what a recording or a map holds\n  \
-        portolan map RECORDING -o DIR     the map of a recording";
+    let examples = "Try:\n  portolan demo                     simulate a building, map it, evaluate the map\n  \
+        portolan info RECORDING           show the contents of a recording or a map\n  \
+        portolan map RECORDING -o DIR     make a map of a recording";
     format!("{examples}\n\n{}", ExitStatus::TABLE)
 }
 
@@ -45,13 +45,13 @@ struct Cli {
 /// Options of every verb.
 #[derive(clap::Args, Clone, Debug)]
 struct GlobalArgs {
-    /// Say nothing on stderr but errors.
+    /// Print only errors on stderr.
     #[arg(short, long, global = true)]
     quiet: bool,
-    /// Say more on stderr; twice for every detail.
+    /// Print more messages on stderr; twice for all details.
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
-    /// Threads to use; 0 takes as many as there are cores. Results do not depend on it.
+    /// Number of threads; 0 uses all cores. Results do not depend on it.
     #[arg(long, global = true, default_value_t = 0, value_name = "N", value_parser = commands::argument::threads)]
     threads: usize,
 }
@@ -126,14 +126,14 @@ fn show(message: &clap::Error) -> ExitStatus {
 /// Prints an error with its causes; the only place where errors are shown to the user. A cause whose text the message
 /// contains already is not repeated.
 fn report(error: &CliError) {
-    let mut told = error.to_string();
-    let mut text = format!("error: {told}");
+    let mut message = error.to_string();
+    let mut text = format!("error: {message}");
     let mut source = std::error::Error::source(error);
     while let Some(cause) = source {
         let cause_text = cause.to_string();
-        if !told.contains(&cause_text) {
+        if !message.contains(&cause_text) {
             text.push_str(&format!("\n  because: {cause_text}"));
-            told.push_str(&cause_text);
+            message.push_str(&cause_text);
         }
         source = cause.source();
     }

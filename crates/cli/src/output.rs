@@ -48,7 +48,7 @@ pub fn outcome_of_map(output: &Path, damage: &[Finding]) -> Outcome {
     let count: u64 = damage.iter().map(|finding| finding.count).sum();
     let more = if count > 1 { format!(" (and {} more)", count - 1) } else { String::new() };
     say(&format!(
-        "{}: as damaged as what it was made from: {first}{more}; `portolan repair` leaves out what is broken",
+        "{}: has the same damage as the map it was made from: {first}{more}; `portolan repair` removes damaged parts",
         output.display()
     ));
     Outcome::DataLost
@@ -59,7 +59,7 @@ pub fn outcome_of_map(output: &Path, damage: &[Finding]) -> Outcome {
 pub fn print_summary(text: &str) {
     match print(text) {
         Err(CliError::Output(error)) if error.kind() != std::io::ErrorKind::BrokenPipe => {
-            say(&format!("what was done cannot be written to the standard output: {error}"));
+            say(&format!("the summary cannot be written to the standard output: {error}"));
         }
         _ => {}
     }

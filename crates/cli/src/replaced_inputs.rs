@@ -39,7 +39,7 @@ pub fn refuse(command: &Command, found: &ArgMatches) -> Result<(), CliError> {
 
 fn replaced(output: &Path) -> String {
     format!(
-        "{} is read, and would be replaced by what is written: take another name for it",
+        "{} is an input, and would be replaced by the output: give the output another name",
         output.display()
     )
 }

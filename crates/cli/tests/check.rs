@@ -35,7 +35,7 @@ fn faults_are_named_with_effect_and_advice() {
 }
 
 #[test]
-fn what_map_cannot_use_is_an_error() {
+fn recordings_that_map_cannot_use_are_errors() {
     let folder = tempfile::tempdir().unwrap();
     let output = common::text(&folder.path().join("results"));
     let (path, mut ends) = (common::text(&folder.path().join("short.bag")), Vec::new());
@@ -98,7 +98,7 @@ fn small_map(folder: &std::path::Path) -> String {
 }
 
 #[test]
-fn places_of_a_map_are_examined_only_if_that_is_wanted() {
+fn places_of_a_map_are_examined_only_on_request() {
     let folder = tempfile::tempdir().unwrap();
     let map = small_map(folder.path());
     let json = |more: &[&str]| -> serde_json::Value {
@@ -128,7 +128,7 @@ fn pictures_of_places_are_of_one_map() {
     let recording = simulated(folder.path(), "drive.bag", &[]);
     let picture = common::text(&folder.path().join("places.png"));
     let run = portolan_with_code(2, &["check", &recording, "--picture", &picture]);
-    assert!(run.stderr.contains("--picture is of maps"), "{}", run.stderr);
+    assert!(run.stderr.contains("--picture needs a map"), "{}", run.stderr);
     let run = portolan_with_code(2, &["check", "a.pbstream", "b.pbstream", "--picture", &picture]);
     assert!(run.stderr.contains("--picture draws one map"), "{}", run.stderr);
     let run = portolan_with_code(2, &["check", "a.pbstream", "--picture", "places.jpg"]);
@@ -139,7 +139,7 @@ fn pictures_of_places_are_of_one_map() {
 }
 
 #[test]
-fn maps_whose_places_cannot_be_examined_say_so() {
+fn maps_whose_places_cannot_be_examined_are_reported() {
     let Some(space) = real("maps/reference/small_3d.pbstream") else { return };
     portolan_with_code(0, &["check", &space]);
     let folder = tempfile::tempdir().unwrap();

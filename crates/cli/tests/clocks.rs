@@ -7,7 +7,7 @@ use common::{portolan, portolan_with_code, simulated_once, text, trajectory_erro
 use portolan_testing::is_fast;
 
 /// What `check` says of the clocks of lidars and IMU in a recording.
-fn told(recording: &str) -> Vec<String> {
+fn clock_findings(recording: &str) -> Vec<String> {
     let run = portolan(&["check", recording, "-q"]);
     assert!(matches!(run.code, Some(0 | 1 | 3)), "{:?} {}", run.code, run.stderr);
     let lines =
@@ -28,9 +28,9 @@ fn offsets_are_found_among_trees_and_with_two_lidars() {
     for (offset, lidars, direction) in [(0.05, "1", "earlier"), (-0.02, "2", "later")] {
         let fault = format!("clock:imu:{offset}");
         let (path, _) = simulated(&["park", "--lidars", lidars, "--fault", &fault]);
-        let told = told(&path);
-        assert_eq!(told.len(), lidars.parse::<usize>().unwrap(), "{told:?}");
-        for line in told {
+        let findings = clock_findings(&path);
+        assert_eq!(findings.len(), lidars.parse::<usize>().unwrap(), "{findings:?}");
+        for line in findings {
             let found = line.split("about ").nth(1).unwrap().split(' ').next().unwrap();
             let error = found.parse::<f64>().unwrap() - f64::abs(offset);
             assert!(error.abs() < 0.006 && line.contains(direction), "{offset}: {line}");
@@ -39,21 +39,21 @@ fn offsets_are_found_among_trees_and_with_two_lidars() {
 }
 
 #[test]
-fn clocks_that_agree_are_not_accused() {
+fn clocks_that_agree_have_no_findings() {
     if is_fast() {
         return;
     }
     for world in ["park", "tunnel"] {
-        let told = told(&simulated(&[world]).0);
-        assert!(told.is_empty(), "{world}: {told:?}");
+        let findings = clock_findings(&simulated(&[world]).0);
+        assert!(findings.is_empty(), "{world}: {findings:?}");
     }
     if let Some(path) = common::real("lidar3d/corridor_imu.bag") {
-        assert!(told(&path).is_empty());
+        assert!(clock_findings(&path).is_empty());
     }
 }
 
 #[test]
-fn an_offset_is_taken_away_known_or_found() {
+fn a_given_or_estimated_offset_is_corrected() {
     if is_fast() {
         return;
     }

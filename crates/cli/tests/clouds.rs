@@ -51,7 +51,7 @@ fn json(output: &str) -> Value {
 }
 
 #[test]
-fn the_sharper_of_two_clouds_is_told() {
+fn the_sharper_of_two_clouds_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name);
     let here = Rigid3::identity();
@@ -335,7 +335,7 @@ fn scans_that_cannot_be_registered_are_named() {
     let one = file("one.xyz", "1 2 3\n");
     assert!(portolan_with_code(1, &["register", &a, &one]).stderr.contains("1 point of 1"));
     let same = file("same.xyz", &"1 2 3\n".repeat(50));
-    assert!(portolan_with_code(1, &["register", &a, &same]).stderr.contains("one place"));
+    assert!(portolan_with_code(1, &["register", &a, &same]).stderr.contains("the same position"));
     let line: String = (0..60).map(|i| format!("{} 0.5 0.5\n", 0.05 * f64::from(i))).collect();
     let line = file("line.xyz", &line);
     portolan_with_code(4, &["register", &a, &line, "--method", "small-angle", "--max-distance", "0.0001"]);
@@ -361,11 +361,11 @@ fn scans_that_cannot_be_registered_are_named() {
 fn options_of_the_other_method_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let out = text(folder.path());
-    let refused = |options: &[&str], told: &str| {
+    let refused = |options: &[&str], expected: &str| {
         let base = ["refine", "--recording", "a.bag", "--trajectory", "a.tum", "-o", &out];
         let arguments: Vec<&str> = base.iter().chain(options).copied().collect();
         let run = portolan_with_code(2, &arguments);
-        assert!(run.stderr.contains(told), "{}", run.stderr);
+        assert!(run.stderr.contains(expected), "{}", run.stderr);
     };
     refused(&["--coarse"], "--coarse is for --method semi-rigid only");
     refused(&["--time-window", "90"], "--time-window is for --method semi-rigid only");

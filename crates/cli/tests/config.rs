@@ -6,7 +6,7 @@ use crate::common;
 use common::{portolan_with_code, real};
 
 #[test]
-fn a_typo_names_the_option_that_was_meant() {
+fn a_typo_names_the_closest_option() {
     let run = portolan_with_code(2, &["config", "explain", "constraint_builder.min_scor"]);
     assert!(run.stderr.contains("did you mean"), "{}", run.stderr);
     assert!(run.stderr.contains("constraint_builder.min_score"), "{}", run.stderr);

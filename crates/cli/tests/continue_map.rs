@@ -128,7 +128,7 @@ fn a_recording_is_found_in_a_frozen_map_that_stays_as_it_was() {
 }
 
 #[test]
-fn a_map_in_3d_goes_on_on_its_surfaces() {
+fn a_map_in_3d_is_continued_on_its_surfaces() {
     if is_fast() {
         return;
     }
@@ -209,7 +209,7 @@ fn a_map_is_extended_and_optimised_as_a_whole() {
 }
 
 #[test]
-fn a_start_that_is_told_needs_no_search() {
+fn a_given_start_needs_no_search() {
     if is_fast() {
         return;
     }
@@ -248,7 +248,7 @@ fn a_start_that_is_told_needs_no_search() {
 }
 
 #[test]
-fn what_cannot_be_continued_is_an_error() {
+fn maps_that_cannot_be_continued_are_errors() {
     let folder = tempfile::tempdir().unwrap();
     let recording = office("20");
     let output = text(&folder.path().join("out"));

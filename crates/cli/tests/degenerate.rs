@@ -49,7 +49,7 @@ fn assert_as_measured(mapped: &Mapped, measured: f64) {
 }
 
 #[test]
-fn along_a_tunnel_odometry_is_used_and_said_so() {
+fn along_a_tunnel_odometry_is_used_and_reported() {
     if is_fast() {
         return;
     }
@@ -64,7 +64,7 @@ fn along_a_tunnel_odometry_is_used_and_said_so() {
 }
 
 #[test]
-fn in_a_field_heading_is_open_too_and_satellites_help() {
+fn in_a_field_heading_is_degenerate_too_and_satellites_help() {
     if is_fast() {
         return;
     }
@@ -84,7 +84,7 @@ fn in_a_field_heading_is_open_too_and_satellites_help() {
 }
 
 #[test]
-fn rings_on_the_grass_do_not_hold_a_scanner_that_moves() {
+fn rings_on_the_grass_do_not_make_a_moving_scanner_stand() {
     if is_fast() {
         return;
     }
@@ -99,7 +99,7 @@ fn rings_on_the_grass_do_not_hold_a_scanner_that_moves() {
 /// Two sparse sweeps show few surfaces, and grids of a few sweeps hold the scanner where its beams drew them: walks
 /// that are recorded from their middle on are followed mostly, not always.
 #[test]
-fn most_who_are_recorded_from_the_middle_of_a_walk_among_trees_are_followed() {
+fn most_recordings_from_the_middle_of_a_walk_among_trees_are_tracked() {
     if is_fast() {
         return;
     }
@@ -115,7 +115,7 @@ fn most_who_are_recorded_from_the_middle_of_a_walk_among_trees_are_followed() {
 }
 
 #[test]
-fn who_walks_among_trees_without_imu_and_wheels_is_followed() {
+fn a_walk_among_trees_without_imu_and_wheels_is_tracked() {
     if is_fast() {
         return;
     }
@@ -134,7 +134,7 @@ fn wheels_do_not_flatten_ramps() {
 }
 
 #[test]
-fn among_cars_nothing_is_open_and_a_short_stay_is_level() {
+fn among_cars_nothing_is_degenerate_and_a_short_stay_is_level() {
     if is_fast() {
         return;
     }
@@ -184,7 +184,7 @@ fn drift(report: &serde_json::Value) -> f64 {
 }
 
 #[test]
-fn along_a_bare_corridor_odometry_or_constant_velocity_is_used_and_its_error_is_said() {
+fn along_a_bare_corridor_odometry_or_constant_velocity_is_used_and_its_error_reported() {
     let (recording, truth) = simulated_once(&["corridors", "--seconds", "60", "--seed", "5"]);
     for (more, substitute, measured, sigma) in
         [(&[][..], "odometry", 0.0707, 0.0415), (&["--no-odometry"], "constant_velocity", 0.844, 0.461)]
@@ -205,18 +205,18 @@ fn along_a_bare_corridor_odometry_or_constant_velocity_is_used_and_its_error_is_
 }
 
 #[test]
-fn where_a_guess_may_be_far_off_the_map_is_not_done() {
+fn a_map_with_unconstrained_relative_poses_is_reported() {
     let (recording, _) = simulated_once(&["corridors", "--seconds", "60", "--seed", "7"]);
     let (_, measured) = map_2d(0, &recording, &[]);
     assert!(drift(&measured) < 0.3, "{measured}");
     // It is 14 m off.
     let (summary, guessed) = map_2d(3, &recording, &["--no-odometry"]);
-    assert!(summary.contains("neither scans nor loop closures tell how they lie"), "{summary}");
+    assert!(summary.contains("neither scans nor loop closures constrain their relative pose"), "{summary}");
     assert!(drift(&guessed) > 3.0, "{guessed}");
 }
 
 #[test]
-fn a_room_leaves_nothing_open_with_odometry_or_without() {
+fn a_room_has_no_degenerate_direction_with_odometry_or_without() {
     let (recording, _) = simulated_once(&["office", "--seconds", "40", "--seed", "5"]);
     for more in [&[][..], &["--no-odometry"]] {
         let (_, report) = map_2d(0, &recording, more);

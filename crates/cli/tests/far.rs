@@ -165,7 +165,7 @@ fn a_museum_in_utm_is_localised_in_as_one_near_the_origin() {
 }
 
 #[test]
-fn a_start_in_utm_is_believed() {
+fn a_start_in_utm_is_used() {
     let place = Place::office();
     let localize = ["localize", "MAP", &place.recording, "-o", "OUT", "--skip", "65", "-q"];
     place.run_both("found", &localize);
@@ -178,7 +178,7 @@ fn a_start_in_utm_is_believed() {
 }
 
 #[test]
-fn maps_in_utm_are_gone_on_with() {
+fn maps_in_utm_are_continued() {
     for (place, skip) in [(Place::office(), "50"), (Place::museum(), "0")] {
         for more in [&[][..], &["--frozen"]] {
             let arguments =

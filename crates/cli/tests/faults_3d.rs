@@ -70,8 +70,8 @@ fn faults_of_sensors_are_survived_and_named() {
         assert!(error <= 1.3 * measured, "{name}: {error} m, measured {measured} m\n{}", run.stderr);
         let lost = report["issues"].as_array().unwrap().iter().any(|issue| issue["severity"] == "error");
         assert_eq!(run.code == Some(3), lost, "{name}: {report}");
-        let told = checked(&recording);
-        assert!(told.contains(words), "{name}: {words} is not in\n{told}");
+        let output = checked(&recording);
+        assert!(output.contains(words), "{name}: {words} is not in\n{output}");
         if arguments.contains(&"dies:12") {
             assert!(run.stdout.contains("falls silent 12."), "{}", run.stdout);
         }
@@ -85,14 +85,14 @@ fn imus_that_contradict_the_lidar_are_named() {
         return;
     }
     for (fault, words) in [("swap-axes", "gravity lies along"), ("no-gravity", "should include gravity")] {
-        let told = checked(&museum(&["--fault", fault]).0);
-        assert!(told.contains(words), "{fault}: {words} is not in\n{told}");
+        let output = checked(&museum(&["--fault", fault]).0);
+        assert!(output.contains(words), "{fault}: {words} is not in\n{output}");
     }
     // The clouds are compared with the IMU: late stamps of the one are early stamps of the other.
     for (fault, direction) in [("clock:imu:0.05", "earlier"), ("clock:imu:-0.05", "later")] {
-        let told = checked(&museum(&["--fault", fault]).0);
-        let is_told = |line: &&str| line.contains("as the rotation of both shows");
-        let line = told.lines().find(is_told).unwrap_or_else(|| panic!("{told}"));
+        let output = checked(&museum(&["--fault", fault]).0);
+        let is_reported = |line: &&str| line.contains("as the rotation of both shows");
+        let line = output.lines().find(is_reported).unwrap_or_else(|| panic!("{output}"));
         let found = line.split("about ").nth(1).unwrap().split(' ').next().unwrap().parse::<f64>().unwrap();
         // Measured: 0.049 s, printed to the millisecond.
         assert!((found - 0.05).abs() < 0.0025 && line.contains(direction), "{fault}: {line}");
@@ -163,9 +163,9 @@ fn clouds_of_no_and_of_two_million_points_are_mapped() {
     assert!(report["nodes"].as_u64().unwrap() > 0, "{report}");
     let peak = report["memory_bytes"]["peak"].as_u64().unwrap_or(0);
     assert!(peak < 1_500_000_000, "{peak}");
-    let told = checked(&recording);
+    let output = checked(&recording);
     for words in ["clouds of zero points", "clouds of 2000000 points"] {
-        assert!(told.contains(words), "{words} is not in\n{told}");
+        assert!(output.contains(words), "{words} is not in\n{output}");
     }
 }
 

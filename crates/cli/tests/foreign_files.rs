@@ -91,7 +91,7 @@ fn refining_and_registering_overwrite_nothing_foreign() {
 }
 
 #[test]
-fn what_is_read_is_not_replaced() {
+fn input_files_are_not_replaced() {
     let place = Place::new();
     place.map(0, &[]);
     let map = text(&place.output().join("map.pbstream"));
@@ -104,7 +104,7 @@ fn what_is_read_is_not_replaced() {
     ] {
         let before = fs::read(input).unwrap();
         let run = common::portolan_with_code(2, &arguments);
-        assert!(run.stderr.contains("is read, and would be replaced"), "{arguments:?}: {}", run.stderr);
+        assert!(run.stderr.contains("is an input, and would be replaced"), "{arguments:?}: {}", run.stderr);
         assert!(fs::read(input).unwrap() == before, "{arguments:?}");
     }
     // A map may become a better one in its place.
@@ -112,7 +112,7 @@ fn what_is_read_is_not_replaced() {
 }
 
 #[test]
-fn what_an_earlier_run_left_is_removed_and_said() {
+fn files_of_an_earlier_run_are_removed_and_reported() {
     let place = Place::new();
     let at = |name: &str| place.output().join(name);
     place.map(0, &["--cloud", "cloud.ply", "--all-poses"]);
@@ -149,7 +149,7 @@ fn a_map_is_not_saved_under_the_name_of_another_result() {
 }
 
 #[test]
-fn what_is_edited_to_nothing_names_the_option() {
+fn edits_that_leave_nothing_name_the_option() {
     let place = Place::new();
     place.map(0, &["-q"]);
     let (map, out) =
@@ -163,7 +163,7 @@ fn what_is_edited_to_nothing_names_the_option() {
 }
 
 #[test]
-fn what_fails_leaves_no_empty_folder() {
+fn failed_runs_leave_no_empty_folder() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| text(&folder.path().join(name));
     fs::write(at("t.tum"), "1 0 0 0 0 0 0 1\n2 1 0 0 0 0 0 1\n").unwrap();

@@ -216,23 +216,23 @@ fn handles_interruptions(child: &Child) -> bool {
 fn interrupted(arguments: &[&str], is_time: impl Fn(Duration) -> bool) -> Option<f64> {
     let mut child = spawn(arguments);
     let start = Instant::now();
-    let mut told: Option<f64> = None;
+    let mut interrupted_at: Option<f64> = None;
     let mut last = 0.0;
     while let Some((seconds, has_ended)) = state(&child) {
         last = seconds;
         if has_ended {
             break;
         }
-        if told.is_none() && is_time(start.elapsed()) && handles_interruptions(&child) {
+        if interrupted_at.is_none() && is_time(start.elapsed()) && handles_interruptions(&child) {
             Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
-            told = Some(seconds);
+            interrupted_at = Some(seconds);
         }
         std::thread::sleep(Duration::from_millis(2));
     }
     let code = child.wait().unwrap().code();
-    told.map(|told| {
+    interrupted_at.map(|interrupted_at| {
         assert!(matches!(code, Some(0 | 130)), "{code:?}");
-        last - told
+        last - interrupted_at
     })
 }
 

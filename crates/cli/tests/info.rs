@@ -6,7 +6,7 @@ use crate::common;
 use common::{portolan_with_code, real, simulated};
 
 #[test]
-fn a_simulated_recording_tells_its_topics() {
+fn info_lists_the_topics_of_a_simulated_recording() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["a.bag", "a.mcap"] {
         let path = simulated(folder.path(), name, &[]);
@@ -35,7 +35,7 @@ fn a_recording_of_the_world() {
 }
 
 #[test]
-fn maps_tell_what_the_reference_tells() {
+fn info_of_maps_is_that_of_the_reference() {
     let expected = [
         ("aces", "Trajectory id: 0 has #nodes 2786 has #submaps 70", "#odometry_data: 7374"),
         ("corridor_imu", "Trajectory id: 0 has #nodes 727 has #submaps 10", "#imu_data: 14980"),
@@ -62,7 +62,7 @@ fn maps_tell_what_the_reference_tells() {
 }
 
 #[test]
-fn what_is_neither_is_named() {
+fn files_that_are_neither_recording_nor_map_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let path = common::text(&folder.path().join("notes.txt"));
     std::fs::write(&path, "nothing of interest\n").unwrap();

@@ -44,7 +44,7 @@ fn the_same_bytes_with_any_number_of_threads_and_from_any_form() {
 }
 
 #[test]
-fn everything_that_is_promised_is_written() {
+fn all_documented_files_are_written() {
     let folder = tempfile::tempdir().unwrap();
     let recording = simulated(folder.path(), "walk.bag", &[]);
     let output = folder.path().join("results");
@@ -148,13 +148,13 @@ fn clouds_need_no_folder_for_temporary_files() {
 }
 
 #[test]
-fn what_left_no_scan_is_named() {
+fn the_reason_for_no_usable_scan_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let recording = simulated(folder.path(), "walk.bag", &[]);
     let output = text(&folder.path().join("results"));
     let stderr =
         |cut: &[&str]| portolan_with_code(1, &[&["map", &recording, "-o", &output], cut].concat()).stderr;
-    assert!(stderr(&["--skip", "100"]).contains("--skip 100 leaves not a single scan"));
+    assert!(stderr(&["--skip", "100"]).contains("--skip 100 leaves no usable scan"));
     let both = stderr(&["--skip", "100", "--duration", "2"]);
     assert!(both.contains("--skip 100 with --duration 2") && both.contains("12.0 s"), "{both}");
 }

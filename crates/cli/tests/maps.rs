@@ -59,7 +59,7 @@ fn with_a_damaged_node(map: &str, output: &Path) {
 }
 
 #[test]
-fn damage_that_is_copied_is_told() {
+fn copied_damage_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let Some(path) = map(folder.path(), "small_2d") else { return };
     let at = |name: &str| text(&folder.path().join(name));
@@ -67,7 +67,11 @@ fn damage_that_is_copied_is_told() {
     with_a_damaged_node(&path, Path::new(&damaged));
     portolan_with_code(0, &["edit", &path, "-o", &out, "--rotate", "1"]);
     let run = portolan_with_code(3, &["edit", &damaged, "-o", &out, "--rotate", "1"]);
-    assert!(run.stderr.contains("as damaged as what it was made from: error: message"), "{}", run.stderr);
+    assert!(
+        run.stderr.contains("has the same damage as the map it was made from: error: message"),
+        "{}",
+        run.stderr
+    );
     portolan_with_code(1, &["check", &out]);
     portolan_with_code(3, &["repair", &out, "-o", &at("mended.pbstream")]);
     portolan_with_code(0, &["check", &at("mended.pbstream")]);
@@ -112,7 +116,7 @@ fn pictures_of_maps() {
 }
 
 #[test]
-fn ros_maps_lie_where_those_of_cartographer_do_and_add_up_what_submaps_say() {
+fn ros_maps_have_the_origin_of_those_of_cartographer_and_sum_the_submaps() {
     let folder = tempfile::tempdir().unwrap();
     let Some(path) = map(folder.path(), "small_2d") else { return };
     let (ours, theirs) = (folder.path().join("ours.pgm"), folder.path().join("theirs"));
@@ -209,7 +213,7 @@ fn trajectories_and_graphs_are_converted() {
 }
 
 #[test]
-fn of_a_map_without_poses_nothing_is_converted() {
+fn a_map_without_poses_is_not_converted() {
     use portolan_pbstream::proto::mapping::serialized_data::Data;
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| text(&folder.path().join(name));
@@ -227,7 +231,7 @@ fn of_a_map_without_poses_nothing_is_converted() {
 }
 
 #[test]
-fn what_would_be_left_out_of_a_conversion_is_said() {
+fn parts_left_out_of_a_conversion_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let Some(path) = map(folder.path(), "small_2d") else { return };
     let file = |name: &str| text(&folder.path().join(name));

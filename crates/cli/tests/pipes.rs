@@ -65,7 +65,7 @@ impl Samples {
 }
 
 #[test]
-fn what_is_read_forward_comes_through_pipes() {
+fn formats_read_in_one_pass_come_through_pipes() {
     let samples = Samples::new();
     let (from_file, from_pipe) = (samples.path("file"), samples.path("pipe"));
     let graph = samples.path("walk.g2o");
@@ -111,7 +111,7 @@ fn portolan_with_code_of(arguments: &[&str]) -> i32 {
 }
 
 #[test]
-fn what_is_read_more_than_once_says_so() {
+fn formats_read_more_than_once_refuse_pipes() {
     let samples = Samples::new();
     let (map, recording) = (&samples.map, &samples.recording);
     let output = samples.path("output");
@@ -156,7 +156,7 @@ fn full() -> Stdio {
 }
 
 #[test]
-fn outputs_that_take_nothing_end_no_run() {
+fn closed_and_full_outputs_do_not_end_a_run() {
     let folder = tempfile::tempdir().unwrap();
     let recording = simulated(folder.path(), "walk.bag", &[]);
     let results = folder.path().join("results");
@@ -210,7 +210,7 @@ fn stopped(folder: &Path, arguments: &[&str], milliseconds: u64, signals: usize)
     let mut child =
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     let mut stderr = child.stderr.take().unwrap();
-    let said = std::thread::spawn(move || {
+    let stderr = std::thread::spawn(move || {
         let mut text = String::new();
         let _ = stderr.read_to_string(&mut text);
         text
@@ -221,15 +221,15 @@ fn stopped(folder: &Path, arguments: &[&str], milliseconds: u64, signals: usize)
         std::thread::sleep(std::time::Duration::from_millis(50));
     }
     let code = child.wait().unwrap().code();
-    let said = said.join().unwrap();
-    assert!(!said.contains("panicked"), "{arguments:?}: {said}");
+    let stderr = stderr.join().unwrap();
+    assert!(!stderr.contains("panicked"), "{arguments:?}: {stderr}");
     assert_eq!(left_in(folder), Vec::<String>::new(), "{arguments:?} after {milliseconds} ms");
     assert_eq!(std::fs::read_dir(&temporary).unwrap().count(), 0, "{arguments:?} after {milliseconds} ms");
     code
 }
 
 #[test]
-fn whoever_is_told_to_stop_leaves_nothing_behind() {
+fn interrupted_runs_leave_no_files() {
     let samples = Samples::new();
     let folder = samples.folder.path();
     let (recording, map, truth) = (samples.recording.as_str(), samples.map.as_str(), samples.truth.as_str());
@@ -287,7 +287,7 @@ fn a_limit_on_the_size_of_files_is_an_error_of_the_file() {
 }
 
 #[test]
-fn what_has_no_end_is_no_pose_graph() {
+fn endless_input_is_no_pose_graph() {
     let folder = tempfile::tempdir().unwrap();
     let output = common::text(&folder.path().join("a.g2o"));
     expect(&limited("-t 60", &["optimize", "/dev/urandom", "-o", &output]), 1);

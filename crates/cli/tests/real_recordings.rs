@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 mod planar_slices;
-mod witnesses;
+mod wheels_and_fixes;
 
 use crate::common;
 
@@ -246,12 +246,12 @@ fn turns_that_odometry_misses_are_found_in_sparse_scans() {
         let seconds = message.log_time.seconds_since(*start.get_or_insert(message.log_time));
         if let Message::Odometry(odometry) = &mut message.message {
             let ([x, y, _], [_, _, sine, cosine]) = (odometry.pose.position, odometry.pose.orientation_xyzw);
-            let told = Rigid2::new(x, y, 2.0 * sine.atan2(cosine));
-            let written = last.map_or(told, |[told_before, written_before]| {
-                let step = told_before.inverse() * told;
+            let given = Rigid2::new(x, y, 2.0 * sine.atan2(cosine));
+            let written = last.map_or(given, |[given_before, written_before]| {
+                let step = given_before.inverse() * given;
                 written_before * Rigid2 { angle: if is_missed(seconds) { 0.0 } else { step.angle }, ..step }
             });
-            last = Some([told, written]);
+            last = Some([given, written]);
             let (sine, cosine) = (written.angle / 2.0).sin_cos();
             odometry.pose.position = [written.translation.x, written.translation.y, 0.0];
             odometry.pose.orientation_xyzw = [0.0, 0.0, sine, cosine];
@@ -379,10 +379,10 @@ fn key_frames_far_apart_are_followed() {
 fn raw_clouds_of_a_car_are_recognised() {
     for name in ["kitti_0001", "kitti_0005"] {
         let Some(recording) = real(&format!("lidar3d/{name}.bag")) else { return };
-        let told = portolan_with_code(0, &["info", &recording]).stdout;
+        let output = portolan_with_code(0, &["info", &recording]).stdout;
         assert!(
-            told.contains("sweeps end at their stamps, go clockwise from azimuth -180°"),
-            "{name}: {told}"
+            output.contains("sweeps end at their stamps, go clockwise from azimuth -180°"),
+            "{name}: {output}"
         );
     }
 }
@@ -434,7 +434,7 @@ fn maps_in_3d_and_their_pictures_do_not_depend_on_threads() {
 
 /// The recording is simulated: no real one of the folder has an IMU in a container that is read here.
 #[test]
-fn an_imu_that_turns_the_wrong_way_is_left_out() {
+fn an_imu_with_the_opposite_sign_is_left_out() {
     let Some(recording) = real("lidar3d/corridor_imu.bag") else { return };
     let truth = read(&real("lidar3d/corridor_imu.truth.tum").unwrap());
     let folder = tempfile::tempdir().unwrap();
@@ -450,11 +450,11 @@ fn an_imu_that_turns_the_wrong_way_is_left_out() {
     let frame = ["--tracking-frame", "imu_link"];
     let run =
         portolan_with_code(0, &[&["map", &text(&mirrored), "-o", &out, "--no-xray"][..], &frame].concat());
-    assert!(run.stderr.contains("turns the other way than the lidar"), "{}", run.stderr);
+    assert!(run.stderr.contains("rotates opposite to the lidar"), "{}", run.stderr);
     let estimate = read(&text(&Path::new(&out).join("trajectory.tum")));
     let errors = absolute_errors(&truth, &estimate, Association::default(), Alignment::Se3).unwrap();
     let error = errors.translation.rmse;
     assert!(error <= 1.3 * 0.009, "{error} m");
     let check = portolan_with_code(1, &["check", &text(&mirrored)]);
-    assert!(check.stdout.contains("turns the other way than the lidar"), "{}", check.stdout);
+    assert!(check.stdout.contains("rotates opposite to the lidar"), "{}", check.stdout);
 }

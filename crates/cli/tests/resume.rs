@@ -72,9 +72,9 @@ fn a_map_that_is_resumed_is_the_same_however_damaged_the_journal_is() {
     let damaged = [("1", journal.clone()), ("4", journal[..journal.len() - 5].to_vec()), ("2", flipped)];
     for (threads, bytes) in damaged {
         let folder = with_journal(&bytes);
-        let (same, said) = resumed(&recording, folder.path(), &["--threads", threads]);
-        assert!(said.contains("results of an earlier run are used again"), "{said}");
-        assert!(same == expected, "{threads} threads: {said}");
+        let (same, output) = resumed(&recording, folder.path(), &["--threads", threads]);
+        assert!(output.contains("results of an earlier run are used again"), "{output}");
+        assert!(same == expected, "{threads} threads: {output}");
     }
 }
 
@@ -83,8 +83,8 @@ fn a_map_in_3d_that_is_resumed_is_the_same() {
     let (recording, _) = simulated_once(&["garage", "--seconds", "25", "--seed", "5", "--beams", "450"]);
     for more in [&["--no-xray", "--threads", "2"][..], &["--no-xray", "--threads", "1", "--no-imu"]] {
         let (folder, _) = cut_off(&recording, more);
-        let (same, said) = resumed(&recording, folder.path(), more);
-        assert!(same == whole(&recording, more), "{more:?}: {said}");
+        let (same, output) = resumed(&recording, folder.path(), more);
+        assert!(same == whole(&recording, more), "{more:?}: {output}");
     }
 }
 
@@ -102,7 +102,7 @@ fn journals_of_other_jobs_are_refused_and_every_verb_knows_what_they_are() {
     let finer = ["map", &recording, "-o", &output, "--resume", "--set", "submap_length=5"];
     refused(&finer, "another job: the options differ");
     let empty = tempfile::tempdir().unwrap();
-    refused(&["map", &recording, "-o", &text(empty.path()), "--resume"], "nothing to go on with");
+    refused(&["map", &recording, "-o", &text(empty.path()), "--resume"], "there is no run to resume");
     for verb in ["info", "check"] {
         refused(&[verb, &file], "--resume goes on with it");
     }

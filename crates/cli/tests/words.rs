@@ -65,7 +65,7 @@ fn wrong_text_is_named_by_its_kind_too() {
 }
 
 #[test]
-fn texts_of_numbers_are_named_by_what_they_are() {
+fn number_files_are_named_by_their_kind() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| text(&folder.path().join(name));
     let relations = "1.0 2.0 0.5 0.1 0.0 0.0 0.0 1.2\n";
@@ -86,7 +86,7 @@ fn texts_of_numbers_are_named_by_what_they_are() {
 }
 
 #[test]
-fn scans_that_cannot_be_used_say_why() {
+fn unusable_scans_are_reported_with_the_reason() {
     let folder = tempfile::tempdir().unwrap();
     let (bag, out) = (simulated(folder.path(), "walk.bag", &[]), text(&folder.path().join("m")));
     let blind = ["map", &bag, "-o", &out, "--set", "trajectory_builder_2d.min_range=11"];
@@ -96,7 +96,7 @@ fn scans_that_cannot_be_used_say_why() {
 }
 
 #[test]
-fn what_is_quoted_of_files_is_short_and_controls_no_terminal() {
+fn quotes_of_files_are_short_and_control_no_terminal() {
     let folder = tempfile::tempdir().unwrap();
     let path = text(&folder.path().join("a.tum"));
     std::fs::write(&path, format!("\u{1b}[2J{} 1 2\n", "x".repeat(1000))).unwrap();
@@ -106,7 +106,7 @@ fn what_is_quoted_of_files_is_short_and_controls_no_terminal() {
 }
 
 #[test]
-fn what_cannot_be_written_is_named_once() {
+fn files_that_cannot_be_written_are_named_once() {
     use portolan_pbstream::proto::mapping::serialized_data::Data;
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| text(&folder.path().join(name));
@@ -133,7 +133,7 @@ fn what_cannot_be_written_is_named_once() {
 }
 
 #[test]
-fn negative_numbers_are_refused_by_what_takes_none() {
+fn negative_numbers_are_refused_by_options_that_take_none() {
     for (arguments, reason) in [
         (vec!["map", "a.bag", "--range-noise", "-1"], "expected auto or metres"),
         (vec!["render", "a.pbstream", "-o", "a.png", "--resolution", "-1"], "expected metres, more than 0"),
@@ -160,7 +160,7 @@ fn negative_numbers_are_refused_by_what_takes_none() {
 }
 
 #[test]
-fn what_was_meant_is_found() {
+fn misspelt_words_get_a_suggestion() {
     let run = portolan_with_code(2, &["config", "show", "--set", "constraint_builder.min_score=2"]);
     assert!(run.stderr.contains("0 to 1"), "{}", run.stderr);
     let run = portolan_with_code(2, &["mpa", "walk.bag"]);
@@ -173,7 +173,7 @@ fn what_was_meant_is_found() {
 }
 
 #[test]
-fn damage_is_never_quiet() {
+fn damage_is_always_reported() {
     let folder = tempfile::tempdir().unwrap();
     let bag = simulated(folder.path(), "walk.bag", &[]);
     let at = |name: &str| text(&folder.path().join(name));
@@ -181,12 +181,12 @@ fn damage_is_never_quiet() {
     let map = std::fs::read(at("m/map.pbstream")).unwrap();
     std::fs::write(at("cut.pbstream"), &map[..map.len() - 10]).unwrap();
     let run = portolan_with_code(3, &["convert", &at("cut.pbstream"), "-o", &at("cut.tum")]);
-    assert!(run.stderr.contains("damaged behind its poses"), "{}", run.stderr);
+    assert!(run.stderr.contains("damaged after its poses"), "{}", run.stderr);
     let relations = at("cut.relations");
     let run = portolan_with_code(0, &["evaluate", "generate", &at("cut.pbstream"), "-o", &relations]);
-    assert!(run.stderr.contains("damaged behind its poses"), "{}", run.stderr);
+    assert!(run.stderr.contains("damaged after its poses"), "{}", run.stderr);
     let run = portolan_with_code(0, &["evaluate", "trajectory", &at("cut.pbstream"), &at("cut.tum")]);
-    assert!(run.stderr.contains("damaged behind its poses"), "{}", run.stderr);
+    assert!(run.stderr.contains("damaged after its poses"), "{}", run.stderr);
     let run = portolan_with_code(3, &["info", &at("cut.pbstream")]);
     assert!(run.stdout.contains("1 trajectory") || run.stdout.contains("Trajectory"), "{}", run.stdout);
     assert!(run.stdout.contains("lost: "), "{}", run.stdout);

@@ -113,7 +113,8 @@ fn measure_scaled(
 /// The offset of the clock of the IMU on which all lidars agree, if it is certain: shifting its stamps by it
 /// corrects all clocks. None where lidars disagree: then one of them is wrong.
 pub fn common_offset(offsets: &[ClockOffset]) -> Option<ClockOffset> {
-    let best = offsets.iter().min_by(|a, b| a.sigma.total_cmp(&b.sigma)).filter(|best| best.is_told())?;
+    let best =
+        offsets.iter().min_by(|a, b| a.sigma.total_cmp(&b.sigma)).filter(|best| best.is_significant())?;
     let agrees =
         |o: &ClockOffset| (o.seconds - best.seconds).abs() <= SAME.max(DIFFERENT * o.sigma.hypot(best.sigma));
     offsets.iter().all(agrees).then(|| best.clone())
@@ -229,8 +230,8 @@ impl Clocks {
         let mounting = mountings.into_iter().reduce(|all, one| all.and(one)).flatten();
         let mounting =
             mounting.map(|(turned, factor)| ImuMounting { imu: imu.source.topic.clone(), turned, factor });
-        let is_told = mounting.is_none() && misalignments.len() == plan.range.len();
-        let common = if is_told { common_misalignment(&misalignments) } else { None };
+        let is_significant = mounting.is_none() && misalignments.len() == plan.range.len();
+        let common = if is_significant { common_misalignment(&misalignments) } else { None };
         let misalignment = common.map(|(rotation, sigma)| {
             let imu = imu.source.topic.clone();
             ImuMisalignment { imu, rotation, sigma }

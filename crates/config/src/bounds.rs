@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn bounds_are_told_in_words() {
+    fn bounds_are_described_in_words() {
         assert_eq!(Bounds::at_least(1.0).to_string(), ">= 1");
         assert_eq!(Bounds::UNIT.to_string(), "0 to 1");
         assert_eq!(Bounds::between(0.5, 1.0).to_string(), "between 0.5 and 1 (both excluded)");

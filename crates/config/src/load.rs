@@ -92,8 +92,8 @@ impl Loader {
         let mut options = Options::default();
         reader.read(&mut options, &crate::json::parse(text)?, "");
         ConfigError::combine(reader.errors)?;
-        let is_told = |warning: &ConfigWarning| !matches!(warning, ConfigWarning::DefaultUsed { .. });
-        let warnings = reader.warnings.into_iter().filter(is_told).collect();
+        let is_reported = |warning: &ConfigWarning| !matches!(warning, ConfigWarning::DefaultUsed { .. });
+        let warnings = reader.warnings.into_iter().filter(is_reported).collect();
         let config = LoadedConfig { options, warnings, files: vec![name.to_owned()], printed: Vec::new() };
         self.finish(config, &|_| None)
     }

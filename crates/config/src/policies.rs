@@ -61,7 +61,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn as_cartographer_sensors_are_believed() {
+    fn the_cartographer_policy_trusts_sensors() {
         let (as_cartographer, mut with_drift) = (PortolanOptions::default(), PortolanOptions::default());
         with_drift.loop_search_drift = 0.04;
         let with_planes = PortolanOptions { match_surfaces: true, ..PortolanOptions::default() };

@@ -28,7 +28,7 @@ const WITHOUT_EFFECT: &[(&str, &str)] = &[
     ),
     (
         "trajectory_builder.trajectory_builder_2d.loop_closure_adaptive_voxel_filter",
-        "maps keep it; loop closures use the cloud of `adaptive_voxel_filter`, as in the reference",
+        "maps keep it; loop closures use the cloud of `adaptive_voxel_filter`, as in Cartographer",
     ),
     ("trajectory_builder.trajectory_builder_2d.imu_gravity_time_constant", LIVE_GRAVITY),
     ("trajectory_builder.trajectory_builder_2d.pose_extrapolator.imu_based", NOT_IN_2D),
@@ -52,8 +52,8 @@ const WITHOUT_EFFECT: &[(&str, &str)] = &[
 
 const GRIDS_ONLY: &str = "scans are matched to planes, and to grids only where that fails, unless --engine grids \
                           (`portolan.match_surfaces = false`) is given";
-const NO_WHEELS_WITH_IMU: &str = "in 3D with an IMU, wheels steer local SLAM and are no constraint of their own, \
-                                  unless `fix_z_in_3d` is on";
+const NO_WHEELS_WITH_IMU: &str = "in 3D with an IMU, wheel odometry is used in local SLAM and adds no constraints \
+                                  of its own, unless `fix_z_in_3d` is on";
 
 /// Paths of options of 3D mapping that have an effect only if scans are matched to grids, with the reason.
 const WITHOUT_EFFECT_ON_SURFACES: &[(&str, &str)] = &[
@@ -99,7 +99,7 @@ mod tests {
     use crate::catalogue::catalogue;
 
     #[test]
-    fn what_grids_alone_need_is_told_where_surfaces_are_matched() {
+    fn options_of_grids_are_reported_where_surfaces_are_matched() {
         let mut options = Options::for_3d();
         for (entry, reason) in WITHOUT_EFFECT_ON_SURFACES {
             assert!(explain(entry).is_some(), "{entry} is no option");

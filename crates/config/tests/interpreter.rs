@@ -102,7 +102,7 @@ fn a_file_that_is_not_there_is_named_with_the_places_searched() {
 }
 
 #[test]
-fn faults_are_told_with_file_and_line() {
+fn faults_are_reported_with_file_and_line() {
     assert!(message("x = {\n  a = 1,,\n}").starts_with("test.lua:2: "));
     assert!(message("\n\nerror('stop here')").starts_with("test.lua:3: stop here"));
     assert!(message("return POSE_GRAPH.x").contains("is an include"));
@@ -204,7 +204,7 @@ fn includes_are_bounded() {
 }
 
 #[test]
-fn bytes_that_are_no_utf8_are_fine_in_comments_and_told_in_values() {
+fn bytes_that_are_no_utf8_are_allowed_in_comments_and_errors_in_values() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("gbk.lua");
     std::fs::write(&path, b"-- \xb2\xe2\xca\xd4\nreturn { a = 1 }").unwrap();

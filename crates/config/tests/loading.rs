@@ -38,7 +38,7 @@ fn a_misspelt_key_names_the_nearest_one_and_the_line() {
 }
 
 #[test]
-fn all_errors_of_a_file_are_told_at_once() {
+fn all_errors_of_a_file_are_reported_at_once() {
     let lines = "MAP_BUILDER.speed = 1\noptions.use_odometry = 1\nTRAJECTORY_BUILDER_2D.submaps = 5";
     let ConfigError::Several { errors } = Options::from_lua("robot.lua", &robot(lines)).unwrap_err() else {
         panic!("several errors expected")

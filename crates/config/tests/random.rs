@@ -67,7 +67,7 @@ proptest! {
     }
 
     #[test]
-    fn random_assignments_never_panic_and_what_loads_is_sound(lines in prop::collection::vec(fragment(), 0..5)) {
+    fn random_assignments_never_panic_and_load_only_valid_options(lines in prop::collection::vec(fragment(), 0..5)) {
         let text = format!("include 'backpack_2d.lua'\n{}return options\n", lines.concat());
         if let Ok(config) = loader().load_text("random.lua", &text) {
             prop_assert_eq!(config.options.validate(), Ok(()));

@@ -115,7 +115,7 @@ fn errors_say_what_to_do() {
 }
 
 #[test]
-fn every_option_can_be_set_to_what_it_is_by_its_full_path() {
+fn every_option_can_be_set_to_its_value_by_its_full_path() {
     let mut options = Options::for_2d();
     for entry in Options::for_2d().entries() {
         let text = match &entry.value {
@@ -213,7 +213,7 @@ fn json_may_be_partial_and_must_be_right() {
 }
 
 #[test]
-fn fingerprints_tell_configurations_apart() {
+fn fingerprints_of_different_configurations_differ() {
     let options = Options::for_2d();
     assert_eq!(options.fingerprint().len(), 32);
     assert_eq!(options.fingerprint(), Options::for_2d().fingerprint());

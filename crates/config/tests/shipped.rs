@@ -36,7 +36,7 @@ fn part(includes: &[&str], returned: &str) -> Value {
 }
 
 #[test]
-fn every_robot_loads_without_a_word() {
+fn every_robot_loads_without_warnings() {
     for name in ROBOTS {
         let config = load(name);
         assert_eq!(config.warnings, [], "{name}");

@@ -41,10 +41,10 @@ pub struct ScanDuration {
 }
 
 impl ScanDuration {
-    /// Whether the duration certainly differs from the reported one, `said`, of scans that come at this
+    /// Whether the duration certainly differs from the reported one, `assumed`, of scans that come at this
     /// interval, seconds.
-    pub(crate) fn is_other_than(&self, said: f64, interval: f64) -> bool {
-        let difference = (self.seconds - said).abs();
+    pub(crate) fn is_other_than(&self, assumed: f64, interval: f64) -> bool {
+        let difference = (self.seconds - assumed).abs();
         difference - SURE * self.sigma > LEAST_ERROR && self.seconds.abs() < 1.1 * interval
     }
 }
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn who_hardly_turns_tells_nothing() {
+    fn scan_durations_are_unknown_without_rotation() {
         assert_eq!(scan_duration(&scans(0.1, 0.05), 0.0), None);
     }
 }

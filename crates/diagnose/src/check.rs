@@ -204,7 +204,7 @@ impl<'a> Check<'a> {
                 what_to_do: if notice.change.is_empty() {
                     String::new()
                 } else {
-                    format!("nothing, or choose otherwise: {}", notice.change)
+                    format!("nothing, or choose differently: {}", notice.change)
                 },
             });
         }
@@ -226,7 +226,7 @@ impl<'a> Check<'a> {
         }
         check_frames(self.stamps.iter().map(|(topic, stamps)| (&**topic, stamps)), &mut self.findings);
         self.compare_turns(plan, &compared.offsets);
-        compared.tell(&mut self.findings);
+        compared.add_to(&mut self.findings);
         for (topic, checks) in std::mem::take(&mut self.topics) {
             self.finish_topic(&topic, checks, plan);
         }
@@ -303,15 +303,16 @@ impl Check<'_> {
         for (topic, ScanDuration { seconds, sigma }) in compared.durations {
             self.findings.add(&SCAN_DURATION, &topic, || {
                 format!(
-                    "scans last {:.3} s (sigma {sigma:.3} s), not as long as time_increment says",
+                    "scans last {:.3} s (sigma {sigma:.3} s), not what time_increment says",
                     seconds.abs()
                 )
             });
         }
         for (topic, sigma) in compared.noises {
             if BeamSmoothing::of(sigma).is_some() {
-                self.findings
-                    .add(&NOISY, &topic, || format!("readings scatter by {sigma:.3} m about straight walls"));
+                self.findings.add(&NOISY, &topic, || {
+                    format!("readings scatter by {sigma:.3} m around straight walls")
+                });
             }
         }
         for (topics, jitter) in compared.jitters {

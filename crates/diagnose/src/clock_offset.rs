@@ -37,13 +37,13 @@ impl ClockOffset {
     }
 
     /// Whether the offset certainly exceeds measurement errors, so that it is reported.
-    pub fn is_told(&self) -> bool {
-        let [told, _] = self.limits();
-        self.seconds.abs() - SURE * self.sigma > told
+    pub fn is_significant(&self) -> bool {
+        let [reported, _] = self.limits();
+        self.seconds.abs() - SURE * self.sigma > reported
     }
 
-    pub(super) fn tell(&self, findings: &mut Findings) {
-        if self.is_told() {
+    pub(super) fn add_to(&self, findings: &mut Findings) {
+        if self.is_significant() {
             let [_, warned] = self.limits();
             findings.push(offset_finding(&self.imu, &self.lidar, self.seconds, warned));
         }
@@ -78,14 +78,14 @@ impl std::fmt::Display for ImuMisalignment {
         let [degrees, sigma] = [self.rotation.norm(), self.sigma].map(f64::to_degrees);
         write!(
             f,
-            "is mounted {degrees:.1}° (sigma {sigma:.1}°) otherwise than the transforms say, as turns of the lidar show"
+            "is rotated by {degrees:.1}° (sigma {sigma:.1}°) against its mounting in the transforms, as the rotation of the lidar shows"
         )
     }
 }
 
 impl ImuComparison {
-    pub(super) fn tell(&self, findings: &mut Findings) {
-        self.offsets.iter().for_each(|offset| offset.tell(findings));
+    pub(super) fn add_to(&self, findings: &mut Findings) {
+        self.offsets.iter().for_each(|offset| offset.add_to(findings));
         if let Some(mounting) = &self.mounting {
             findings.push(mounting_finding(&mounting.imu, mounting));
         }
@@ -121,7 +121,11 @@ impl std::fmt::Display for ImuMounting {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { turned, factor, .. } = *self;
         if turned > 0.0 {
-            write!(f, "turns as the lidar does only if its axes are turned by {:.0}°", turned.to_degrees())?;
+            write!(
+                f,
+                "rotates as the lidar does only if its axes are rotated by {:.0}°",
+                turned.to_degrees()
+            )?;
             return if (factor - 1.0).abs() > 0.1 {
                 write!(f, " and its rates divided by {factor:.2}")
             } else {
@@ -129,8 +133,8 @@ impl std::fmt::Display for ImuMounting {
             };
         }
         match factor < 0.0 {
-            true => write!(f, "turns the other way than the lidar, {:.2} times as fast", -factor),
-            false => write!(f, "turns {factor:.2} times as fast as the lidar"),
+            true => write!(f, "rotates opposite to the lidar, {:.2} times as fast", -factor),
+            false => write!(f, "rotates {factor:.2} times as fast as the lidar"),
         }
     }
 }
@@ -141,11 +145,11 @@ mod tests {
     use crate::findings_to_text;
 
     #[test]
-    fn only_sure_offsets_are_told() {
+    fn only_significant_offsets_are_reported() {
         let text = |seconds: f64, sigma: f64, has_point_times: bool| {
             let (lidar, imu) = ("/points".into(), "/imu".into());
             let mut findings = Findings::default();
-            ClockOffset { lidar, imu, seconds, sigma, has_point_times }.tell(&mut findings);
+            ClockOffset { lidar, imu, seconds, sigma, has_point_times }.add_to(&mut findings);
             findings_to_text(&findings.finish())
         };
         for (seconds, sigma, has_point_times) in

@@ -9,13 +9,13 @@ use crate::finding::{Findings, Kind};
 const UNUSABLE: Kind = Kind {
     name: "unusable cloud",
     severity: Severity::Error,
-    effect: "clouds that cannot be understood are left out",
+    effect: "clouds that cannot be parsed are left out",
     to_do: "clouds need fields x, y and z of a number type that lie within point_step",
 };
 const MISSING: Kind = Kind {
     name: "missing points",
     severity: Severity::Error,
-    effect: "the points that are not there are missing in the map",
+    effect: "the map is made without the missing points",
     to_do: "mend the driver: width, height, point_step and row_step must fit the data",
 };
 const NO_TIME: Kind = Kind {
@@ -60,7 +60,7 @@ const EMPTY: Kind = Kind {
 const HUGE: Kind = Kind {
     name: "huge clouds",
     severity: Severity::Warning,
-    effect: "mapping takes them, but each is held in memory several times over, and time goes with the points",
+    effect: "mapping uses them, but each is in memory several times, and computing time grows with the number of points",
     to_do: "map with a topic of single sweeps; accumulated clouds have lost the motion in them",
 };
 /// Number of points above which a cloud is no single sweep.
@@ -105,7 +105,7 @@ impl CloudChecks {
         self.zero += faults.zero;
         if faults.missing > 0 {
             findings.add(&MISSING, topic, || {
-                format!("a cloud promises {} points more than it has", faults.missing)
+                format!("the size of a cloud states {} points more than it has", faults.missing)
             });
         }
         match (layout.has_time(), time) {
@@ -118,7 +118,7 @@ impl CloudChecks {
             }
             (true, Some(PointTime { origin: PointTimeOrigin::OtherClock, .. })) => {
                 findings.add(&OTHER_CLOCK, topic, || {
-                    "times of points are of another clock than stamps".to_owned()
+                    "times of points come from another clock than stamps".to_owned()
                 });
             }
             (true, Some(_)) => {}
@@ -134,7 +134,7 @@ impl CloudChecks {
         let (not_finite, far_time, zero) = (self.not_finite, self.far_time, self.zero);
         if far_time > 0 {
             findings.add(&FAR_TIME, topic, || {
-                format!("{far_time} points whose time lies far outside their cloud")
+                format!("{far_time} points whose time is far outside the time span of their cloud")
             });
         }
         if not_finite + zero > 0 {

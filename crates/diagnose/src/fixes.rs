@@ -16,20 +16,20 @@ const NOT_ON_EARTH: Kind = Kind {
 const NOWHERE: Kind = Kind {
     name: "nowhere",
     severity: Severity::Info,
-    effect: "these are taken for none",
-    to_do: "the driver should say so in their status",
+    effect: "these count as no fix",
+    to_do: "let the driver mark them as no fix in their status",
 };
 const JUMP: Kind = Kind {
     name: "fix jump",
     severity: Severity::Warning,
-    effect: "with --gnss single ones pull the map no more than others; many of them make all of less worth",
-    to_do: "reflected signals, or a receiver that is just started: see how it is in the open",
+    effect: "with --gnss a single jump pulls the map no more than other fixes do; many jumps lower the weight of all fixes",
+    to_do: "causes are reflected signals (multipath), or a receiver that has just started: compare under open sky",
 };
 const HANGS: Kind = Kind {
     name: "fix repeats",
     severity: Severity::Warning,
     effect: "with --gnss fixes that stand while the robot moves contradict the map, and may be left out altogether",
-    to_do: "see whether the receiver or its driver hangs; real ones change in their last digits at rest, too",
+    to_do: "see whether the receiver or its driver hangs; real fixes change in their last digits at rest, too",
 };
 
 /// Speed above which a fix jumps, m/s: no ground platform with a lidar is faster.
@@ -63,7 +63,7 @@ impl FixChecks {
         let place = GeodeticPosition { latitude_degrees, longitude_degrees, altitude };
         if !place.is_valid() {
             return findings.add(&NOT_ON_EARTH, topic, || {
-                format!("latitude {latitude_degrees}, longitude {longitude_degrees}, altitude {altitude} is no place")
+                format!("latitude {latitude_degrees}, longitude {longitude_degrees}, altitude {altitude} is not a place on Earth")
             });
         }
         let place = place.to_ecef();
@@ -76,7 +76,7 @@ impl FixChecks {
         let (seconds, distance) = (stamp.seconds_since(before).max(0.0), (place - last).norm());
         if distance > MAX_SPEED * seconds + USUAL_ERROR {
             findings.add(&JUMP, topic, || {
-                format!("the place jumps by {distance:.0} m within {seconds:.1} s at {stamp}")
+                format!("the position jumps by {distance:.0} m within {seconds:.1} s at {stamp}")
             });
         }
     }
@@ -99,7 +99,7 @@ mod tests {
     use portolan_recording::Header;
 
     /// Five fixes a second with latitude, longitude and status from `of`.
-    fn told(of: impl Fn(i32) -> (f64, f64, i8)) -> String {
+    fn findings_of(of: impl Fn(i32) -> (f64, f64, i8)) -> String {
         let (mut checks, mut findings) = (FixChecks::default(), Findings::default());
         for i in 0..100 {
             let (latitude_degrees, longitude_degrees, status) = of(i);
@@ -119,24 +119,26 @@ mod tests {
         findings_to_text(&findings.finish())
     }
 
-    fn way(i: i32) -> f64 {
+    fn latitude(i: i32) -> f64 {
         48.0 + 1e-5 * f64::from(i)
     }
 
     #[test]
-    fn sound_fixes_are_not_told() {
-        assert_eq!(told(|i| (way(i), 11.0, 0)), "");
+    fn valid_fixes_have_no_findings() {
+        assert_eq!(findings_of(|i| (latitude(i), 11.0, 0)), "");
         // Without a fix, and off by a few metres.
-        assert_eq!(told(|i| (way(i) + 4e-5 * f64::from(i % 2), 11.0, 0)), "");
-        assert_eq!(told(|i| if i % 2 == 0 { (0.0, 0.0, -1) } else { (way(i), 11.0, 0) }), "");
+        assert_eq!(findings_of(|i| (latitude(i) + 4e-5 * f64::from(i % 2), 11.0, 0)), "");
+        assert_eq!(findings_of(|i| if i % 2 == 0 { (0.0, 0.0, -1) } else { (latitude(i), 11.0, 0) }), "");
     }
 
     #[test]
-    fn places_that_are_none_jumps_and_hanging_receivers_are_told() {
-        assert!(told(|i| if i < 3 { (0.0, 0.0, 0) } else { (way(i), 11.0, 0) }).contains("(3 times)"));
-        assert!(told(|_| (512_000.0, 11.0, 0)).contains("is no place"));
-        let jump = told(|i| (way(i) + if i == 50 { 0.01 } else { 0.0 }, 11.0, 0));
+    fn invalid_fixes_jumps_and_hanging_receivers_are_reported() {
+        assert!(
+            findings_of(|i| if i < 3 { (0.0, 0.0, 0) } else { (latitude(i), 11.0, 0) }).contains("(3 times)")
+        );
+        assert!(findings_of(|_| (512_000.0, 11.0, 0)).contains("is not a place"));
+        let jump = findings_of(|i| (latitude(i) + if i == 50 { 0.01 } else { 0.0 }, 11.0, 0));
         assert!(jump.contains("jumps by 111") && jump.contains("(2 times)"), "{jump}");
-        assert!(told(|i| (way(i.min(20)), 11.0, 0)).contains("the same fix for more than 5 s"));
+        assert!(findings_of(|i| (latitude(i.min(20)), 11.0, 0)).contains("the same fix for more than 5 s"));
     }
 }

@@ -194,7 +194,7 @@ impl ImuChecks {
         if (OTHER_AXES..=180.0 - OTHER_AXES).contains(&lean) {
             let (axis, sign) = axis_of(&up);
             return findings.add(&AXES, topic, || {
-                format!("gravity lies along {sign}{axis} of the IMU, {lean:.0}° away from where the transforms put up: its axes are swapped, or its mounting is missing")
+                format!("gravity lies along {sign}{axis} of the IMU, {lean:.0}° away from the vertical that the transforms give: its axes are swapped, or its mounting is missing")
             });
         }
         let kind = if lean > 135.0 { &UPSIDE_DOWN } else { &LEANING };

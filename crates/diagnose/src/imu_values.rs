@@ -39,7 +39,7 @@ const ENOUGH_WINDOWS: usize = 2;
 /// Median deviation between the windows above which they are slow rotation, not rest, rad/s.
 const SAME_BIAS: f64 = 0.01;
 /// Bias above which it is reported, rad/s.
-const TOLD_BIAS: f64 = 1e-3;
+const REPORTED_BIAS: f64 = 1e-3;
 /// Bias above which the report is a warning, rad/s.
 const WARNED_BIAS: f64 = 0.02;
 /// Maximum number of windows that are kept.
@@ -96,7 +96,7 @@ impl Rest {
     }
 
     pub fn finish(&self, topic: &str, findings: &mut Findings) {
-        let Some(bias) = self.bias().filter(|b| b.norm() > TOLD_BIAS) else { return };
+        let Some(bias) = self.bias().filter(|b| b.norm() > REPORTED_BIAS) else { return };
         let kind = if bias.norm() > WARNED_BIAS { &LARGE_BIAS } else { &BIAS };
         let per_minute = 60.0 * bias.norm().to_degrees();
         findings.add(kind, topic, || {

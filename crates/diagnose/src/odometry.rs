@@ -29,7 +29,7 @@ const MAP_FRAME: Kind = Kind {
 const NO_MOTION: Kind = Kind {
     name: "no motion",
     severity: Severity::Info,
-    effect: "odometry that never moves holds the map back if the robot does move",
+    effect: "odometry that never moves pulls the map towards standing still if the robot does move",
     to_do: "leave it out with --no-odometry if the robot did move",
 };
 

@@ -17,7 +17,7 @@ use crate::scan_motion::TimedMotion;
 /// Duration over which motions are compared, seconds.
 const WINDOW: f64 = 1.0;
 /// Minimum distance that the scanner moves in a window for the window to count, metres.
-const LEAST_WAY: f64 = 0.1;
+const LEAST_DISTANCE: f64 = 0.1;
 /// Minimum number of windows for a result.
 const ENOUGH_WINDOWS: usize = 30;
 /// Fraction of windows that is used, those that fit best: scans are matched wrongly now and then, and wheels
@@ -46,7 +46,7 @@ pub enum OdometryFault {
     /// Its rotations are this multiple of those of scans; negative if in the opposite direction.
     Turns(f64),
     /// Its translations have another length or direction.
-    Ways {
+    Translations {
         /// Ratio of their lengths to those of scans.
         factor: f64,
         /// Angle from the translations of scans to those of odometry, counter-clockwise (to the left),
@@ -79,13 +79,16 @@ impl OdometryFault {
             // Odometry with wrong rotations has translations in wrong directions.
             return Some(Self::Turns(1.0 / slope));
         }
-        let fit = Fit::of(windows.into_iter().map(|window| window.ways).collect())?;
-        if fit.as_said < LEFT {
+        let fit = Fit::of(windows.into_iter().map(|window| window.translations).collect())?;
+        if fit.as_reported < LEFT {
             return None;
         }
         if fit.explained < LEFT_OTHERWISE {
             let odometry_from_scans = fit.factor.inv();
-            return Some(Self::Ways { factor: odometry_from_scans.norm(), angle: odometry_from_scans.arg() });
+            return Some(Self::Translations {
+                factor: odometry_from_scans.norm(),
+                angle: odometry_from_scans.arg(),
+            });
         }
         agreement.is_some_and(|agreement| agreement.correlation < UNLIKE).then_some(Self::Unlike)
     }
@@ -101,11 +104,11 @@ impl fmt::Display for OdometryFault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::Turns(factor) if factor < 0.0 => {
-                write!(f, "turns the other way than scans, {:.2} times as far", -factor)
+                write!(f, "rotates opposite to scans, {:.2} times as much", -factor)
             }
-            Self::Turns(factor) => write!(f, "turns {factor:.2} times as far as scans"),
-            Self::Ways { factor, angle } => {
-                write!(f, "goes {factor:.2} times as far as scans")?;
+            Self::Turns(factor) => write!(f, "rotates {factor:.2} times as much as scans"),
+            Self::Translations { factor, angle } => {
+                write!(f, "measures {factor:.2} times the distance of scans")?;
                 let degrees = angle.to_degrees();
                 let side = if degrees > 0.0 { "left" } else { "right" };
                 match degrees.abs() < 5.0 {
@@ -113,8 +116,8 @@ impl fmt::Display for OdometryFault {
                     false => write!(f, ", {:.0}° to the {side} of them", degrees.abs()),
                 }
             }
-            Self::Stands => write!(f, "stays where it is while scans move"),
-            Self::Unlike => write!(f, "moves otherwise than scans"),
+            Self::Stands => write!(f, "does not move while scans do"),
+            Self::Unlike => write!(f, "moves differently than scans"),
         }
     }
 }
@@ -124,10 +127,10 @@ type Pair = (Complex<f64>, Complex<f64>);
 
 /// Motion in a window in which the scanner moved.
 struct Window {
-    ways: Pair,
+    translations: Pair,
     /// Distance that the frame of the odometry moved, metres. A scanner beside it also moves if that frame
     /// rotates.
-    gone: f64,
+    distance: f64,
 }
 
 fn windows(
@@ -148,13 +151,16 @@ fn windows(
             continue;
         }
         window = None;
-        if moved.translation.norm() >= LEAST_WAY
+        if moved.translation.norm() >= LEAST_DISTANCE
             && let (Some(first), Some(second)) = (poses.lookup(from - lag), poses.lookup(*end - lag))
         {
-            let gone = (second.translation.vector - first.translation.vector).norm();
+            let distance = (second.translation.vector - first.translation.vector).norm();
             let (first, second) = (scanner(&first), scanner(&second));
-            let way = |motion: Rigid2| Complex::new(motion.translation.x, motion.translation.y);
-            windows.push(Window { ways: (way(moved), way(first.inverse() * second)), gone });
+            let translation = |motion: Rigid2| Complex::new(motion.translation.x, motion.translation.y);
+            windows.push(Window {
+                translations: (translation(moved), translation(first.inverse() * second)),
+                distance,
+            });
         }
     }
     windows
@@ -162,7 +168,8 @@ fn windows(
 
 /// Whether odometry does not move in nearly all windows in which the scanner moves.
 fn stands(windows: &[Window]) -> bool {
-    let standing = windows.iter().filter(|window| window.gone < OF_STANDING * window.ways.0.norm()).count();
+    let standing =
+        windows.iter().filter(|window| window.distance < OF_STANDING * window.translations.0.norm()).count();
     windows.len() >= ENOUGH_WINDOWS && standing as f64 >= MOSTLY_STANDS * windows.len() as f64
 }
 
@@ -171,7 +178,7 @@ struct Fit {
     /// Factor for the translations of odometry.
     factor: Complex<f64>,
     /// Fraction of the translations of scans that is left unexplained without the factor (root mean square).
-    as_said: f64,
+    as_reported: f64,
     /// The same with the factor.
     explained: f64,
 }
@@ -196,7 +203,7 @@ impl Fit {
         }
         let factor = common / of_wheels;
         let share = |factor| (pairs.iter().map(|pair| left(pair, factor)).sum::<f64>() / of_scans).sqrt();
-        Some(Self { factor, as_said: share(Complex::new(1.0, 0.0)), explained: share(factor) })
+        Some(Self { factor, as_reported: share(Complex::new(1.0, 0.0)), explained: share(factor) })
     }
 }
 
@@ -210,15 +217,15 @@ mod tests {
     use super::*;
     use portolan_geometry::{Time, embed_3d};
 
-    /// Scans and odometry of a drive with bends, in which odometry reports each step as `told`.
-    fn fault(told: impl Fn(Rigid2) -> Rigid2) -> Option<OdometryFault> {
+    /// Scans and odometry of a drive with bends, in which odometry reports each step as `measured`.
+    fn fault(measured: impl Fn(Rigid2) -> Rigid2) -> Option<OdometryFault> {
         let at = |i: i32| Time::from_ticks(i64::from(i) * 2_000_000);
         let (mut of_wheels, mut of_scans, mut poses) = (Vec::new(), Vec::new(), TransformBuffer::default());
         let (mut motions, mut pose) = (Vec::new(), Rigid2::identity());
         poses.push(at(0), embed_3d(&pose));
         for i in 0..600 {
             let step = Rigid2::new(0.08, 0.0, 0.15 * (0.07 * f64::from(i)).sin());
-            let of_odometry = told(step);
+            let of_odometry = measured(step);
             pose = pose * of_odometry;
             poses.push(at(i + 1), embed_3d(&pose));
             of_wheels.push((at(i), at(i + 1), of_odometry.normalized_angle()));
@@ -229,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn odometry_that_stands_while_scans_move_is_told_and_wheels_that_stall_for_a_while_are_not() {
+    fn odometry_that_never_moves_is_reported_and_wheels_that_stall_for_a_while_are_not() {
         assert_eq!(fault(|_| Rigid2::identity()), Some(OdometryFault::Stands));
         assert_eq!(fault(|m| Rigid2::new(0.0, 0.0, m.angle)), Some(OdometryFault::Stands));
         let steps = std::cell::Cell::new(0);
@@ -241,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn other_units_and_frames_are_told_and_calibration_is_not() {
+    fn other_units_and_frames_are_reported_and_calibration_errors_are_not() {
         let turned =
             |m: Rigid2, angle: f64| Rigid2::new(0.0, 0.0, angle).inverse() * m * Rigid2::new(0.0, 0.0, angle);
         let scaled = |m: Rigid2, factor: f64| Rigid2 { translation: m.translation * factor, ..m };
@@ -250,9 +257,9 @@ mod tests {
         assert_eq!(fault(|m| turned(m, 0.17)), None);
         assert_eq!(fault(|m| Rigid2 { angle: 0.8 * m.angle, ..m }), None);
         let close = |a: f64, b: f64| (a / b - 1.0).abs() < 0.05;
-        let is_scale = |f| matches!(f, Some(OdometryFault::Ways { factor, angle }) if close(factor, 100.0) && angle.abs() < 0.05);
+        let is_scale = |f| matches!(f, Some(OdometryFault::Translations { factor, angle }) if close(factor, 100.0) && angle.abs() < 0.05);
         assert!(is_scale(fault(|m| scaled(m, 100.0))));
-        let is_turned = |f| matches!(f, Some(OdometryFault::Ways { factor, angle }) if close(factor, 1.0) && close(angle, -1.57));
+        let is_turned = |f| matches!(f, Some(OdometryFault::Translations { factor, angle }) if close(factor, 1.0) && close(angle, -1.57));
         assert!(is_turned(fault(|m| turned(m, 1.57))), "{:?}", fault(|m| turned(m, 1.57)));
         let mirrored = fault(|m| Rigid2::new(m.translation.x, -m.translation.y, -m.angle)).unwrap();
         assert!(

@@ -57,7 +57,7 @@ impl fmt::Display for OdometryHold {
         let longest = self.longest;
         write!(
             f,
-            "repeats its last pose for up to {longest:.1} s while scans move, and tells the motion afterwards"
+            "repeats its last pose for up to {longest:.1} s while scans move, and reports the motion afterwards"
         )
     }
 }
@@ -85,8 +85,8 @@ impl Run {
         let while_repeated = moved(motions, from, self.last).filter(|motion| size(motion) > least)?;
         let afterwards = moved(motions, self.last, to)?;
         let pose = |pose: Rigid3| project_2d(&(pose * odometry_from_scanner));
-        let told = pose(self.first.1).inverse() * pose(self.next.1);
-        let off = |motion: Rigid2| size(&(motion.inverse() * told));
+        let reported = pose(self.first.1).inverse() * pose(self.next.1);
+        let off = |motion: Rigid2| size(&(motion.inverse() * reported));
         Some(off(afterwards) - off(while_repeated * afterwards))
     }
 }
@@ -124,27 +124,27 @@ mod tests {
     /// A drive of 400 scans, five a second; odometry reports the pose of the scan with the index `of`.
     fn hold(of: impl Fn(u32) -> u32, odometry: impl Fn(Rigid2) -> Rigid2) -> Option<f64> {
         let step = |scan: u32| Rigid2::new(0.1, 0.0, 0.1 * (0.05 * f64::from(scan)).sin());
-        let mut way = vec![Rigid2::identity()];
+        let mut trajectory = vec![Rigid2::identity()];
         for scan in 0..400 {
-            way.push(way[scan as usize] * step(scan));
+            trajectory.push(trajectory[scan as usize] * step(scan));
         }
         let motions: Vec<_> = (0..400).map(|scan| (at(scan), at(scan + 1), step(scan))).collect();
-        let told = |scan: u32| odometry(way[of(scan) as usize]);
-        let poses: Vec<_> = (0..400).map(|scan| (at(scan), embed_3d(&told(scan)))).collect();
+        let reported = |scan: u32| odometry(trajectory[of(scan) as usize]);
+        let poses: Vec<_> = (0..400).map(|scan| (at(scan), embed_3d(&reported(scan)))).collect();
         OdometryHold::find(&poses, &motions, &Rigid3::identity()).map(|hold| hold.longest)
     }
 
     #[test]
-    fn what_is_told_later_was_held_back() {
+    fn odometry_that_repeats_poses_and_catches_up_is_held_back() {
         assert_eq!(hold(|scan| scan, |pose| pose), None);
         let seconds = hold(|scan| scan / 5 * 5, |pose| pose).unwrap();
         assert!((seconds - 1.0).abs() < 1e-9, "{seconds}");
     }
 
     #[test]
-    fn wheels_that_stall_tell_it_never() {
+    fn stalled_wheels_are_not_held_back() {
         // Only the last of five steps is reported.
-        let told = |scan: u32| scan / 5 + u32::from(scan % 5 == 4);
-        assert_eq!(hold(told, |pose| pose), None);
+        let reported = |scan: u32| scan / 5 + u32::from(scan % 5 == 4);
+        assert_eq!(hold(reported, |pose| pose), None);
     }
 }

@@ -202,7 +202,7 @@ const ALIKE: f64 = 0.7;
 const LEAST_GAIN: f64 = 0.04;
 
 /// Reports scale and direction of the rotation of `second` against `first`.
-pub(crate) fn tell_turns(first: (&str, &[Turn]), second: (&str, &[Turn]), findings: &mut Findings) {
+pub(crate) fn report_turns(first: (&str, &[Turn]), second: (&str, &[Turn]), findings: &mut Findings) {
     let Some(agreement) = compare(first.1, second.1) else { return };
     let Agreement { correlation, slope, turned, .. } = agreement;
     if turned < ENOUGH_TURNS {
@@ -234,7 +234,7 @@ pub(crate) fn tell_turns(first: (&str, &[Turn]), second: (&str, &[Turn]), findin
         };
         add(
             Severity::Warning,
-            format!("the sensor rotates {slope:.2} times as far as {a}{degrees}"),
+            format!("the sensor rotates {slope:.2} times as much as {a}{degrees}"),
             "predicted rotation is off; matching must make up for it",
             "calibrate the wheel base or the gyroscope, or leave it out with --no-odometry or --no-imu",
         );
@@ -243,7 +243,7 @@ pub(crate) fn tell_turns(first: (&str, &[Turn]), second: (&str, &[Turn]), findin
 
 /// Reports the offset of the clock of `second` against that of `first`. `is_exact` means that the times of
 /// the rotations of both are accurate.
-pub(crate) fn tell_clocks(
+pub(crate) fn report_clocks(
     first: (&str, &[Turn]),
     second: (&str, &[Turn]),
     is_exact: bool,
@@ -260,8 +260,8 @@ pub(crate) fn tell_clocks(
 pub(super) fn sure_offset(first: &[Turn], second: &[Turn], is_exact: bool) -> Option<(f64, f64)> {
     let agreement = compare(first, second)?;
     let Agreement { correlation, lag, lag_sigma, lag_gain, turned, .. } = agreement;
-    let [told, _] = OFFSETS[usize::from(!is_exact)];
-    let is_sure = lag.abs() - SURE * lag_sigma > told && lag_gain > LEAST_GAIN;
+    let [reported, _] = OFFSETS[usize::from(!is_exact)];
+    let is_sure = lag.abs() - SURE * lag_sigma > reported && lag_gain > LEAST_GAIN;
     (turned >= ENOUGH_TURNS && correlation >= ALIKE && is_sure).then_some((lag, lag_sigma))
 }
 
@@ -289,12 +289,12 @@ pub(super) fn mounting_finding(imu: &str, mounting: &ImuMounting) -> Finding {
         Severity::Error,
         format!("it {mounting}"),
         match mounting.is_in_degrees() {
-            true => "turns are taken for degrees per second: map multiplies them by π/180",
+            true => "its angular velocities are taken as degrees per second: map multiplies them by π/180",
             false => {
-                "turns are predicted and sweeps de-skewed wrongly, and level may be wrong: map leaves the IMU out"
+                "rotations are predicted and sweeps de-skewed wrongly, and level may be wrong: map leaves the IMU out"
             }
         },
-        "look at the transform from the lidar to the IMU, the signs of its axes and its units (rad/s)",
+        "check the transform from the lidar to the IMU, the signs of its axes and its units (rad/s)",
     )
 }
 
@@ -304,7 +304,7 @@ pub(super) fn misalignment_finding(imu: &str, misalignment: &ImuMisalignment) ->
         imu,
         Severity::Warning,
         format!("it {misalignment}"),
-        "level would be wrong by as much: map turns what it measures, unless --imu names the IMU",
+        "level would be wrong by as much: map rotates its measurements, unless --imu names the IMU",
         "correct the transform from the lidar to the IMU",
     )
 }
@@ -372,8 +372,8 @@ pub(super) mod tests {
         let text = |delay, scale| {
             let mut findings = Findings::default();
             let (odom, scan) = (turns(0.0, 1.0, 0.05), turns(delay, scale, 0.2));
-            tell_turns(("/odom", &odom), ("/scan", &scan), &mut findings);
-            tell_clocks(("/odom", &odom), ("/scan", &scan), true, &mut findings);
+            report_turns(("/odom", &odom), ("/scan", &scan), &mut findings);
+            report_clocks(("/odom", &odom), ("/scan", &scan), true, &mut findings);
             super::super::findings_to_text(&findings.finish())
         };
         assert_eq!(text(0.0, 1.0), "");

@@ -84,7 +84,7 @@ pub fn compare_scans(
     // With disturbed stamps, the only result about motion is whether odometry has none.
     let mut jitters = Vec::new();
     for scanner in scanners.iter_mut().filter(|scanner| !scanner.has_disturbed_stamps()) {
-        let Some(jitter) = scanner.take_jitter_away() else { continue };
+        let Some(jitter) = scanner.remove_jitter() else { continue };
         let mut topics = vec![scanner.planned.source.topic.clone()];
         let in_messages = plan.odometry.as_ref().and_then(PlannedOdometry::topic);
         topics.extend(in_messages.filter(|_| wheels.have_stamps_of(scanner)).cloned());
@@ -99,7 +99,7 @@ pub fn compare_scans(
     if let Some(scanner) = scanners.into_iter().next() {
         let found = durations.iter().find(|(topic, _)| *topic == scanner.planned.source.topic);
         let seconds = found.map(|(_, found)| found.seconds).or(scanner.planned.scan_duration);
-        let seconds = seconds.unwrap_or(scanner.said_duration);
+        let seconds = seconds.unwrap_or(scanner.reported_duration);
         if let Some(gyroscope) = gyroscope.filter(|_| !scanner.has_disturbed_stamps()) {
             let turns = scanner.turns_in_the_middle(seconds);
             let (fault, delay) = gyroscope.compare(inventory, (&scanner.planned.source, &turns));
@@ -161,7 +161,7 @@ struct Scanner<'a> {
     /// Times of measurement of scans by their stamps, where stamps jitter.
     times: BTreeMap<Time, Time>,
     /// Time from the first beam to the last as reported by the last scan, seconds.
-    said_duration: f64,
+    reported_duration: f64,
 }
 
 impl<'a> Scanner<'a> {
@@ -169,7 +169,7 @@ impl<'a> Scanner<'a> {
         let (turns, motions) = (ScanTurns::default(), ScanMotions::default());
         let noise = RangeNoiseEstimator::default();
         let (stamps, times) = (Vec::new(), BTreeMap::new());
-        Self { planned, turns, motions, noise, stamps, times, said_duration: 0.0 }
+        Self { planned, turns, motions, noise, stamps, times, reported_duration: 0.0 }
     }
 
     fn add(&mut self, message: &Message) {
@@ -178,12 +178,12 @@ impl<'a> Scanner<'a> {
         self.turns.add(scan.header.stamp, scan);
         self.motions.add(scan.header.stamp, scan);
         self.noise.add(scan);
-        let said = f64::from(scan.time_increment) * scan.ranges.len().saturating_sub(1) as f64;
-        self.said_duration = if said.is_finite() && said > 0.0 { said } else { 0.0 };
+        let reported = f64::from(scan.time_increment) * scan.ranges.len().saturating_sub(1) as f64;
+        self.reported_duration = if reported.is_finite() && reported > 0.0 { reported } else { 0.0 };
     }
 
     /// Returns the jitter of stamps, if there is any; results are then relative to the times of measurement.
-    fn take_jitter_away(&mut self) -> Option<StampJitter> {
+    fn remove_jitter(&mut self) -> Option<StampJitter> {
         let (jitter, times) = stamp_jitter(&self.stamps, &self.motions)?;
         self.times = self.stamps.iter().copied().zip(times.iter().copied()).collect();
         for (scan, time) in self.motions.scans.iter_mut().zip(&times) {
@@ -213,9 +213,9 @@ impl<'a> Scanner<'a> {
         if self.planned.scan_duration.is_some() {
             return None;
         }
-        let found = scan_duration(&self.motions, self.said_duration)?;
+        let found = scan_duration(&self.motions, self.reported_duration)?;
         let interval = 1.0 / self.planned.statistics.rate;
-        let is_wrong = found.is_other_than(self.said_duration, interval);
+        let is_wrong = found.is_other_than(self.reported_duration, interval);
         is_wrong.then(|| (self.planned.source.topic.clone(), found))
     }
 }
@@ -307,7 +307,7 @@ impl Wheels<'_> {
         let mut turns = scanner.turns_in_the_middle(seconds);
         let mut motions: Vec<TimedMotion> = scanner.motions.motions().collect();
         if up < 0.0 {
-            turn_over(&mut turns, &mut motions);
+            flip_upside_down(&mut turns, &mut motions);
         }
         let hold = OdometryHold::find(&self.poses, &motions, &odometry_from_scanner);
         if let Some(hold) = hold {
@@ -347,7 +347,7 @@ fn retime(turns: &mut [Turn], times: &BTreeMap<Time, Time>) {
 }
 
 /// Converts measurements of a scanner that is mounted upside down to the view from above.
-fn turn_over(turns: &mut [Turn], motions: &mut [TimedMotion]) {
+fn flip_upside_down(turns: &mut [Turn], motions: &mut [TimedMotion]) {
     turns.iter_mut().for_each(|(_, _, turn)| *turn = -*turn);
     for (_, _, motion) in motions {
         *motion = Rigid2::new(motion.translation.x, -motion.translation.y, -motion.angle);

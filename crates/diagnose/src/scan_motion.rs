@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn the_way_along_a_bare_wall_is_not_determined() {
+    fn motion_along_a_bare_wall_is_unobservable() {
         let wall = |y: f64| -> Places {
             let place = |degrees: i32| Vector2::new(y / f64::from(degrees).to_radians().tan(), y);
             by_direction((20..160).map(place).map(|place| Seen { place, share: 0.0 }))

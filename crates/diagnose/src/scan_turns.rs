@@ -173,7 +173,7 @@ fn turn_and_shift(before: &Profile, now: &Profile, mut turn: f32) -> Option<Foun
         let mut count = 0.0_f32;
         // Sum of the weights of directions (their information about the rotation), and of weight times
         // measurement time.
-        let mut told = [0.0_f32; 3];
+        let mut sums = [0.0_f32; 3];
         for (i, range) in now.ranges.iter().enumerate() {
             let at = (i as f32 + turn / cell).rem_euclid(CELLS as f32);
             let (index, share) = (at as usize % CELLS, at.fract());
@@ -187,9 +187,12 @@ fn turn_and_shift(before: &Profile, now: &Profile, mut turn: f32) -> Option<Foun
             if !(difference.abs() < most && (b - a).abs() < EDGE) {
                 continue;
             }
-            let tells = row[0] * row[0];
-            told =
-                [told[0] + tells, told[1] + tells * before.offsets[index], told[2] + tells * now.offsets[i]];
+            let weight = row[0] * row[0];
+            sums = [
+                sums[0] + weight,
+                sums[1] + weight * before.offsets[index],
+                sums[2] + weight * now.offsets[i],
+            ];
             let row = Vector3::new(row[0], row[1], row[2]).map(f64::from);
             normal += row * row.transpose();
             right += row * f64::from(difference);
@@ -203,7 +206,7 @@ fn turn_and_shift(before: &Profile, now: &Profile, mut turn: f32) -> Option<Foun
         normal[(2, 2)] += f64::from(1e-3 * count);
         let change = normal.cholesky()?.solve(&right);
         turn += change.x as f32;
-        offsets = (told[0] > 0.0).then(|| [told[1] / told[0], told[2] / told[0]]);
+        offsets = (sums[0] > 0.0).then(|| [sums[1] / sums[0], sums[2] / sums[0]]);
         shift = [shift[0] + change.y as f32, shift[1] + change.z as f32];
     }
     (turn.abs() < MAX_TURN).then_some(FoundTurn { turn, offsets })
@@ -287,19 +290,19 @@ mod tests {
     }
 
     #[test]
-    fn scans_of_a_turning_robot_in_a_room_tell_its_turns() {
+    fn rotations_follow_from_scans_in_a_room() {
         let all_around = agreement(0..360);
         assert!((all_around.slope - 1.0).abs() < 0.02 && all_around.lag.abs() < 0.03, "{all_around:?}");
     }
 
     #[test]
-    fn so_do_those_of_a_scanner_that_sees_60_degrees() {
+    fn rotations_follow_from_scans_of_60_degrees() {
         let ahead = agreement(120..240);
         assert!((ahead.slope - 1.0).abs() < 0.05 && ahead.lag.abs() < 0.03, "{ahead:?}");
     }
 
     #[test]
-    fn clouds_of_a_turning_lidar_tell_its_turns_and_the_offset_of_its_clock() {
+    fn rotations_and_clock_offset_follow_from_clouds() {
         let mut clouds = CloudTurns::default();
         for i in 0..500 {
             let begin = 0.1 * f64::from(i);

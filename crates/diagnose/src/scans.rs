@@ -16,7 +16,7 @@ const NOT_SEQUENTIAL: Kind = Kind {
 const OVERLAP: Kind = Kind {
     name: "overlap",
     severity: Severity::Warning,
-    effect: "points are put where the robot was at their time; wrong times blur the map",
+    effect: "points are placed by the pose of the robot at their time; wrong times blur the map",
     to_do: "see whether stamps are those of the first point (or the last), and whether point times are right",
 };
 const LONGEST_OVERLAP: Kind = Kind {
@@ -30,7 +30,7 @@ const JUMP: f64 = 10.0;
 const REPEATED: Kind = Kind {
     name: "repeated data",
     severity: Severity::Error,
-    effect: "what is sent again says that the robot stands; map leaves it out, so that scans are missing",
+    effect: "repeated scans look as if the robot stood still; map leaves them out, so that scans are missing",
     to_do: "look for a driver that sends old data again",
 };
 const REPEATED_SELDOM: Kind = Kind {
@@ -50,7 +50,7 @@ const NO_RETURNS: Kind = Kind {
 const LIMITS: Kind = Kind {
     name: "limits",
     severity: Severity::Error,
-    effect: "scans are read without limits; readings that mean \"nothing seen\" may become walls",
+    effect: "scans are read without limits; readings that mean \"no return\" may become walls",
     to_do: "let the driver fill in range_min and range_max",
 };
 const INCREMENT: Kind = Kind {
@@ -80,13 +80,13 @@ const MILLIMETRES: Kind = Kind {
 const BEYOND: Kind = Kind {
     name: "beyond range_max",
     severity: Severity::Info,
-    effect: "these readings count as nothing seen",
+    effect: "these readings count as no return",
     to_do: "",
 };
 const FAULTY: Kind = Kind {
     name: "faulty readings",
     severity: Severity::Info,
-    effect: "these readings count as nothing seen",
+    effect: "these readings count as no return",
     to_do: "",
 };
 

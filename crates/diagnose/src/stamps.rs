@@ -33,7 +33,7 @@ const UNSET: Kind = Kind {
 const LATE: Kind = Kind {
     name: "late",
     severity: Severity::Warning,
-    effect: "measurements are put where the robot was that much earlier or later than they were made: rotation blurs the map, prediction and scans disagree",
+    effect: "measurements are placed by poses of the robot that much earlier or later than they were made: rotation blurs the map, prediction and scans disagree",
     to_do: "see that the clocks of the sensors and of the computer agree (PTP, NTP); stamps should be the time of measurement",
 };
 const VERY_LATE: Kind =
@@ -41,7 +41,7 @@ const VERY_LATE: Kind =
 const JUMP: Kind = Kind {
     name: "jump",
     severity: Severity::Error,
-    effect: "messages far from their time are left out; a clock that was set is put right",
+    effect: "messages far from their time are left out; the jump of a clock that was set is removed from the stamps",
     to_do: "synchronise clocks before recording, not during it",
 };
 const RANGE_GAP: Kind = Kind {

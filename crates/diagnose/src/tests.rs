@@ -56,7 +56,7 @@ fn a_good_recording_has_nothing_worth_a_warning() {
 }
 
 #[test]
-fn scans_outside_of_the_time_of_the_imu_are_no_map() {
+fn scans_outside_the_time_of_the_imu_are_an_error() {
     let recording = |seconds: f64| {
         let mut messages = robot(vec![]);
         messages.extend((0..10).map(|i| {
@@ -74,7 +74,7 @@ fn scans_outside_of_the_time_of_the_imu_are_no_map() {
 }
 
 #[test]
-fn clouds_in_millimetres_are_told() {
+fn clouds_in_millimetres_are_reported() {
     let clouds = |unit: f32| {
         let mut messages = robot(vec![]);
         messages.extend((0..20).map(|i| {
@@ -178,7 +178,7 @@ fn faults_of_scans() {
 }
 
 #[test]
-fn scans_without_a_single_distance_are_no_map() {
+fn scans_without_any_return_are_an_error() {
     let is_error = |messages| {
         let findings = checked(robot(messages));
         let found = findings.iter().find(|f| f.what.contains("there is not one scan with a point"));
@@ -257,7 +257,7 @@ fn faults_of_imus_and_odometry() {
 }
 
 #[test]
-fn an_imu_that_leans_is_told_where_a_robot_says_what_is_upright_and_may_lean_in_the_hand() {
+fn a_tilted_imu_is_reported_on_a_robot_and_allowed_in_the_hand() {
     let with = |carrier: &'static str| {
         let transforms =
             fixed(&[(carrier, "lidar", [0.0, 0.0, 0.3], 0.0), (carrier, "imu_link", [0.0; 3], 0.0)]);
@@ -275,7 +275,7 @@ fn an_imu_that_leans_is_told_where_a_robot_says_what_is_upright_and_may_lean_in_
 }
 
 #[test]
-fn an_imu_without_gravity_is_told_as_that_alone() {
+fn an_imu_without_gravity_is_the_only_finding() {
     let mut messages = robot(scans(100, |_, _| {}));
     for i in 0..500 {
         let t = 0.01 * f64::from(i);
@@ -328,8 +328,8 @@ fn sweeps_recorded_at_their_end_are_not_late() {
     let findings = checked(messages);
     let text = findings_to_text(&findings);
     assert!(!text.contains("serialization time") && !text.contains("no transforms say"), "{text}");
-    let told = find(&findings, "no frame of the recording is known as that of a robot");
-    assert!(told.severity == Severity::Info && told.what_to_do.contains("imu_link"), "{text}");
+    let found = find(&findings, "no frame of the recording has the usual name of a robot frame");
+    assert!(found.severity == Severity::Info && found.what_to_do.contains("imu_link"), "{text}");
 }
 
 #[test]
@@ -353,7 +353,7 @@ fn faults_of_clouds_and_transforms() {
     let findings = checked(messages);
     for part in [
         "relative time",
-        "promises",
+        "points more than it has",
         "without fields x, y and z",
         "output of a mapping program",
         "form a loop",

@@ -104,16 +104,16 @@ pub(super) fn compare_all(
         let other_axis = [first, other].into_iter().find_map(|turning| {
             let (topic, imu) = imus.iter().find(|(topic, _)| *topic == turning.topic)?;
             let reference = if std::ptr::eq(turning, first) { other } else { first };
-            tell_axis(topic, imu, &turning.turns, reference, findings)
+            report_axis(topic, imu, &turning.turns, reference, findings)
         });
         if other_axis.is_none() {
-            rotation::tell_turns((first.topic, &first.turns), (other.topic, &other.turns), findings);
+            rotation::report_turns((first.topic, &first.turns), (other.topic, &other.turns), findings);
             // The IMU itself is compared with the first sensor.
             let reference = if std::ptr::eq(clock, other) { first } else { clock };
             let is_exact = reference.source.is_exact() && other.source.is_exact();
             let (a, b) = ((reference.topic, &*reference.turns), (other.topic, &*other.turns));
             if !offsets.iter().any(|known| (&*known.imu, &*known.lidar) == (a.0, b.0)) {
-                rotation::tell_clocks(a, b, is_exact, findings);
+                rotation::report_clocks(a, b, is_exact, findings);
             }
         }
     }
@@ -121,7 +121,7 @@ pub(super) fn compare_all(
 
 /// Reports the axis about which an IMU measures the rotations of another sensor, if it is not the vertical
 /// from gravity.
-fn tell_axis(
+fn report_axis(
     topic: &str,
     imu: &ImuTurns,
     about_up: &[Turn],
@@ -143,7 +143,7 @@ fn tell_axis(
     let (name, sign) = axis_of(&(axis * best));
     findings.add(&AXES, topic, || {
         format!(
-            "rotation of {} about the vertical is seen by the gyroscope about {sign}{name} (correlation {:.2}), not about what gravity shows as up ({:.2})",
+            "rotation of {} about the vertical is seen by the gyroscope about {sign}{name} (correlation {:.2}), not about the vertical that gravity shows ({:.2})",
             reference.topic,
             best.abs(),
             agreement.correlation

@@ -109,7 +109,7 @@ fn a_perfect_estimate_has_no_errors() {
 }
 
 #[test]
-fn what_cannot_be_compared_is_named() {
+fn trajectories_that_cannot_be_compared_are_named() {
     let empty = Trajectory::default();
     let later = estimate().shifted(Duration::from_seconds(1e6));
     let ate = |t: &Trajectory, e: &Trajectory| absolute_errors(t, e, Association::default(), Alignment::Se2);

@@ -154,7 +154,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_stroke_lies_on_the_grid() {
+    fn every_stroke_is_on_the_grid() {
         for c in (' '..='~').chain(['°']) {
             let (width, strokes) = glyph(c);
             for stroke in strokes.split(' ') {

@@ -154,7 +154,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn points_fall_where_they_are_seen() {
+    fn points_are_projected_to_pixels() {
         let from_above = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
         let view = PointView::new([10.0, 5.0, 1.0], from_above, [4.0, 2.0], 40, 0.01);
         assert_eq!((view.width, view.height), (40, 20));

@@ -41,7 +41,7 @@ pub(crate) trait Stage: Send {
 
     /// Whether the stage needs all points once more. Called at the end of each pass, before later stages are
     /// asked.
-    fn wants_another_pass(&mut self, _log: Log) -> bool {
+    fn needs_another_pass(&mut self, _log: Log) -> bool {
         false
     }
 
@@ -96,7 +96,7 @@ impl Pipeline {
 
 fn flush(stages: &mut [Box<dyn Stage>], log: Log) -> Result<Flush, PointsError> {
     let Some((first, later)) = stages.split_first_mut() else { return Ok(Flush::Finished) };
-    if first.wants_another_pass(log) {
+    if first.needs_another_pass(log) {
         return Ok(Flush::Restart);
     }
     let outcome = flush(later, log)?;

@@ -166,7 +166,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_stands_upright_is_dark_from_above_and_broad_from_the_side() {
+    fn walls_are_dark_from_above_and_broad_from_the_side() {
         let mut top = XrayPicture::new([0.0, 0.0], [10.0, 10.0], 0.1, 500, false);
         let view = XrayView::top(0.0);
         // A floor, and a wall along y at x = 5.
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn views_are_as_one_stands_before_them() {
+    fn side_views_are_not_mirrored() {
         let quarter = std::f64::consts::FRAC_PI_2;
         let near = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).abs() + (a[1] - b[1]).abs() < 1e-12;
         assert!(near(XrayView::top(0.0).project([1.0, 2.0, 3.0]), [1.0, 2.0]));

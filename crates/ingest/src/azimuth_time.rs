@@ -64,7 +64,7 @@ impl AzimuthTimes {
     }
 
     /// Where in the turn the stamp is, in words.
-    pub(crate) fn where_stamp_is(self) -> &'static str {
+    pub(crate) fn describe_stamp(self) -> &'static str {
         match self {
             Self::FromStamp => "begin at their stamps",
             Self::AroundStamp => "have their stamps in the middle",
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn the_order_of_firing_is_told_from_that_of_beams() {
+    fn firing_order_is_distinguished_from_beam_order() {
         for clockwise in [true, false] {
             for by_ring in [true, false] {
                 let points: Vec<Point3f> =
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn where_turns_begin_may_be_known_better_than_by_the_first_point() {
+    fn the_start_of_sweeps_may_be_given() {
         // The points come from the left on, counter-clockwise; the head turns clockwise from behind.
         let mut points = turn(false, true);
         let known = Turn { begin_radians: PI, is_clockwise: true, in_intervals: 1.0 };
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn when_clouds_are_recorded_tells_where_in_the_turn_stamps_are() {
+    fn recording_times_show_where_in_the_sweep_stamps_are() {
         use AzimuthTimes::{AroundStamp, FromStamp, UntilStamp};
         for (lag, expected) in [
             (0.12, FromStamp),
@@ -256,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn times_that_are_wrong_still_tell_where_in_the_turn_stamps_are() {
+    fn wrong_point_times_still_show_where_in_the_sweep_stamps_are() {
         use AzimuthTimes::{AroundStamp, FromStamp, UntilStamp};
         for (begin, expected) in [
             (0.0, Some(FromStamp)),
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn beams_that_begin_with_the_turn_but_go_the_other_way_are_of_one_turn() {
+    fn beams_against_the_sense_of_rotation_belong_to_one_sweep() {
         // Clockwise from the first point on, beams counter-clockwise: the points after the first are the last of the turn.
         let mut points = turn(false, true);
         let known = Turn { begin_radians: 2.0, is_clockwise: true, in_intervals: 1.0 };

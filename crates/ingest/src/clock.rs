@@ -54,8 +54,8 @@ impl SensorClock {
         }
         let usual = *self.lag.get_or_insert(lag);
         // Stamps that go on as before are good even if the recording paused or ran at another speed.
-        let goes_on = self.last.is_some_and(|last| stamp >= last && stamp - last <= JUMP);
-        if goes_on || near(lag, usual, JUMP) {
+        let continues = self.last.is_some_and(|last| stamp >= last && stamp - last <= JUMP);
+        if continues || near(lag, usual, JUMP) {
             (self.lag, self.last, self.jump) = (Some(lag), Some(stamp), None);
             return Stamp::Good(stamp);
         }
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_was_set_goes_on_as_before() {
+    fn stamps_continue_after_a_clock_was_set() {
         let mut clock = SensorClock::new(Duration::ZERO, None);
         clock.judge(at(0), at(0));
         let verdicts: Vec<Stamp> = (1..6).map(|s| clock.judge(at(s - 3600), at(s))).collect();

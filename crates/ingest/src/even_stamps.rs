@@ -35,7 +35,7 @@ const FASTER_THAN_MEAN: f64 = 0.97;
 
 /// Seconds between messages for those of these topics whose first stamps, from a time of recording on, are
 /// not measurement times. Without this look ahead they would be trusted until they are seen to be wrong.
-pub(crate) fn doubtful_beginnings(
+pub(crate) fn disturbed_beginnings(
     recording: &dyn Recording,
     topics: &[Arc<str>],
     start: Time,
@@ -53,10 +53,10 @@ pub(crate) fn doubtful_beginnings(
             break;
         }
     }
-    let in_doubt = |stamps: &Vec<Time>| StampPattern::of(stamps).filter(StampPattern::is_disturbed);
+    let disturbed = |stamps: &Vec<Time>| StampPattern::of(stamps).filter(StampPattern::is_disturbed);
     Ok(stamps
         .into_iter()
-        .filter_map(|(topic, stamps)| in_doubt(&stamps).map(|pattern| (topic, pattern.period)))
+        .filter_map(|(topic, stamps)| disturbed(&stamps).map(|pattern| (topic, pattern.period)))
         .collect())
 }
 
@@ -96,7 +96,7 @@ impl EvenStamps {
     }
 
     /// With stamps that are not trusted from the beginning, if a period, seconds, is given.
-    pub fn in_doubt(mut self, period: Option<f64>) -> Self {
+    pub fn with_disturbed_period(mut self, period: Option<f64>) -> Self {
         if self.policy != StampPolicy::AsIs {
             self.fault =
                 period.map_or(StampFault::None, |period| StampFault::Bursts(FASTER_THAN_MEAN * period));
@@ -105,7 +105,7 @@ impl EvenStamps {
     }
 
     /// With stamps that jitter like this.
-    pub fn that_jitter(mut self, jitter: Option<&StampJitter>) -> Self {
+    pub fn with_jitter(mut self, jitter: Option<&StampJitter>) -> Self {
         if let (Some(jitter), true) = (jitter, self.policy != StampPolicy::AsIs) {
             self.fault = StampFault::Jitter(SteadyClock::new(jitter));
         }
@@ -248,7 +248,7 @@ mod tests {
     #[test]
     fn a_clock_of_whole_seconds_loses_nothing() {
         let stamps: Vec<Time> = (0..1000).map(|k| at((0.2 * f64::from(k)).floor())).collect();
-        let mut even = EvenStamps::new(StampPolicy::Auto).in_doubt(Some(0.2));
+        let mut even = EvenStamps::new(StampPolicy::Auto).with_disturbed_period(Some(0.2));
         assert!(stamps.iter().all(|stamp| even.holds(*stamp, &message())));
         let times: Vec<Time> = std::iter::from_fn(|| even.pop(Time::MAX)).map(|(_, _, time)| time).collect();
         assert!(times.len() == stamps.len() && times.is_sorted_by(|a, b| a < b));
@@ -257,7 +257,7 @@ mod tests {
 
     #[test]
     fn a_sensor_that_falls_silent_does_not_keep_its_last_messages() {
-        let mut even = EvenStamps::new(StampPolicy::Auto).in_doubt(Some(0.2));
+        let mut even = EvenStamps::new(StampPolicy::Auto).with_disturbed_period(Some(0.2));
         assert!(even.holds(at(0.0), &message()) && even.holds(at(0.2), &message()));
         assert!(even.pop(at(LOOK_AHEAD)).is_none());
         let mut left = || std::iter::from_fn(|| even.pop(at(LOOK_AHEAD + 0.1))).count();

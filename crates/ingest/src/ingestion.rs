@@ -16,7 +16,7 @@ use crate::beam_elevation::Raise;
 use crate::beam_smoothing::BeamSmoothing;
 use crate::clock::{Ascending, Order, SensorClock};
 use crate::convert::{Frames, LocalFixes, SatelliteFix};
-use crate::even_stamps::{EvenStamps, StampPolicy, doubtful_beginnings};
+use crate::even_stamps::{EvenStamps, StampPolicy, disturbed_beginnings};
 use crate::held_pose::HeldPose;
 use crate::laser::BeamDirections;
 use crate::options::IngestOptions;
@@ -169,11 +169,11 @@ impl Ingestion {
     ) -> Result<Self, IngestError> {
         let samplers = Samplers::new(&options.sampling)?;
         let start = inventory.first_time.map_or(Time::MIN, |first| first + options.skip);
-        let in_doubt = match options.stamps {
+        let disturbed = match options.stamps {
             StampPolicy::AsIs => BTreeMap::new(),
-            _ => doubtful_beginnings(recording, &setup::topics_of_scans(inventory, &plan), start)?,
+            _ => disturbed_beginnings(recording, &setup::topics_of_scans(inventory, &plan), start)?,
         };
-        let sensors = setup::sensors(&plan, options.stamps, &in_doubt);
+        let sensors = setup::sensors(&plan, options.stamps, &disturbed);
         let transform_odometry = plan.odometry.as_ref().and_then(|odometry| {
             Some(TransformOdometry {
                 planned: odometry.source.clone(),

@@ -109,7 +109,7 @@ impl Field {
 }
 
 /// Offset of consecutive single-precision fields, if these are such.
-fn singles_at(fields: &[Field; 3]) -> Option<usize> {
+fn offset_of_singles(fields: &[Field; 3]) -> Option<usize> {
     let [x, y, z] = fields.map(|field| field.offset);
     let are_singles = fields.iter().all(|field| field.field_type == FieldType::Float32);
     (are_singles && y == x.checked_add(4)? && z == y.checked_add(4)?).then_some(x)
@@ -124,7 +124,7 @@ pub struct CloudLayout {
     step: usize,
     is_bigendian: bool,
     /// Offset of the coordinates if they are consecutive little-endian singles, as in nearly all clouds.
-    singles_at: Option<usize>,
+    offset_of_singles: Option<usize>,
     /// Metres in one unit of the coordinates.
     length_unit: f32,
 }
@@ -157,7 +157,7 @@ impl CloudLayout {
             intensity,
             step,
             is_bigendian: cloud.is_bigendian,
-            singles_at: singles_at(&xyz).filter(|_| !cloud.is_bigendian),
+            offset_of_singles: offset_of_singles(&xyz).filter(|_| !cloud.is_bigendian),
             length_unit: 1.0,
         })
     }
@@ -175,7 +175,7 @@ impl CloudLayout {
 
     #[inline]
     fn position(&self, point: &[u8]) -> Point3f {
-        if let Some(begin) = self.singles_at
+        if let Some(begin) = self.offset_of_singles
             && let Some(bytes) = point.get(begin..begin + 12)
             && let (&[x, y, z], []) = bytes.as_chunks::<4>()
         {

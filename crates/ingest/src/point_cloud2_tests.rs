@@ -44,7 +44,7 @@ fn any_order_type_and_byte_order_reads_the_same() {
 }
 
 #[test]
-fn points_that_are_none_are_counted() {
+fn invalid_points_are_counted() {
     let fields = [("x", FieldType::Float32), ("y", FieldType::Float32), ("z", FieldType::Float32)];
     let mut message = cloud(
         &fields,

@@ -59,7 +59,7 @@ pub(crate) struct TimeSpan {
 
 impl TimeSpan {
     /// Whether times distinguish points: they are not all equal, and not dates in single precision.
-    pub fn tells(&self) -> bool {
+    pub fn is_usable(&self) -> bool {
         self.span > 0.0 && (self.field_type != FieldType::Float32 || self.date_unit().is_none())
     }
 
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn drivers_as_they_are() {
+    fn point_times_of_known_drivers() {
         use FieldType::{Float32, Float64, Uint32};
         let date = 1.7e9;
         for (name, field_type, least, largest, interval, expected) in [

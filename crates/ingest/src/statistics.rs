@@ -255,7 +255,7 @@ impl RangeSampler {
         let span = self.time_spans.last().filter(|_| layout.has_time());
         match span {
             None if layout.has_time() => {}
-            Some(span) if span.tells() => {
+            Some(span) if span.is_usable() => {
                 let share = |time: &f64| ((time - span.least) / span.span).clamp(0.0, 1.0) as f32;
                 let shares: Vec<f32> = self.times.iter().map(share).collect();
                 self.skew.add(cloud.header.stamp, &self.sweep, Some(&shares));
@@ -357,12 +357,12 @@ impl RangeSampler {
     fn judge_times(&self, statistics: &mut RangeStatistics, duty: f64) {
         let spins = statistics.is_spinning();
         let Some(skew) = statistics.skew.as_mut().filter(|_| statistics.sweep_duration > 0.0) else { return };
-        let Some(told) = self.skew.right_times(skew, duty, spins) else { return };
-        if told.is_clear {
-            skew.elevation = told.elevation;
+        let Some(right) = self.skew.right_times(skew, duty, spins) else { return };
+        if right.is_clear {
+            skew.elevation = right.elevation;
         }
-        statistics.times_in_doubt = !told.is_clear;
-        match told.times {
+        statistics.times_in_doubt = !right.is_clear;
+        match right.times {
             Times::Scaled(scale) => statistics.time_scale = Some(scale),
             Times::ByAzimuth(turn) => statistics.turn_told = Some(turn),
         }
@@ -462,7 +462,7 @@ mod tests {
     use portolan_recording::Header;
 
     #[test]
-    fn a_mark_for_nothing_seen_is_found() {
+    fn the_reading_for_no_return_is_found() {
         let mut sampler = RangeSampler::default();
         for i in 0..10 {
             let mut ranges: Vec<f32> = (0..90).map(|k| 1.0 + 0.1 * k as f32).collect();

@@ -16,7 +16,7 @@ const PERIOD_CHANGES: f64 = 1e-4;
 /// Standard deviation of the time of the next measurement after missing ones, as a fraction of the period.
 const OPEN_AFTER_GAP: f64 = 0.3;
 /// Number of messages that decide whether measurements are missing before them, or the first one came late.
-const TELL_A_GAP: usize = 6;
+const GAP_STAMPS: usize = 6;
 /// Number of standard deviations above which a stamp has less weight (Huber).
 const INLIER: f64 = 2.0;
 
@@ -131,7 +131,7 @@ impl SteadyClock {
     /// Predicts the next measurement, from its stamp and the ones that follow it.
     fn predict(&self, last: &Phase, stamps: &[f64]) -> (Matrix2<f64>, Phase) {
         let (time, period) = (last.mean.x, last.mean.y);
-        let late = (1u32..).zip(stamps.iter().take(TELL_A_GAP));
+        let late = (1u32..).zip(stamps.iter().take(GAP_STAMPS));
         let late = late.map(|(k, stamp)| stamp - time - f64::from(k) * period);
         let missing = (late.fold(f64::INFINITY, f64::min) / period).round().clamp(0.0, 1e6);
         let transition = Matrix2::new(1.0, 1.0 + missing, 0.0, 1.0);
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn jitter_of_a_steady_sensor_goes() {
+    fn jitter_of_a_steady_sensor_is_removed() {
         let noise = StampNoise { of_stamps: 0.03, of_intervals: 0.001 };
         let truth: Vec<f64> = (0..500).filter(|k| k % 97 > 3).map(|k| 0.2031 * f64::from(k)).collect();
         let (before, after) = errors(&truth, |k| 0.05 * random(k), noise);

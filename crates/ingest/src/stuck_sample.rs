@@ -36,7 +36,7 @@ mod tests {
     use portolan_recording::Message;
 
     #[test]
-    fn what_repeats_for_longer_than_drivers_poll_says_nothing() {
+    fn samples_that_repeat_for_longer_than_drivers_poll_are_left_out() {
         let mut stuck = StuckSample::default();
         let at = |hundredths: i64| Time::from_ticks(hundredths * 100_000);
         let sample = |value: f64| {

@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn stamps_of_sweeps_that_follow_each_other_are_believed() {
+    fn stamps_of_consecutive_sweeps_are_kept() {
         assert!(corrected(0.0995, 0.0005).iter().all(|(_, is_corrected)| !is_corrected));
     }
 

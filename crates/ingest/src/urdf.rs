@@ -78,11 +78,14 @@ pub fn parse_urdf(text: &str, is_xacro: bool) -> Result<RobotDescription, String
         roxmltree::Error::NodesLimitReached => {
             format!("it has more than {MAX_NODES} elements and texts, which no robot description has")
         }
-        error => format!("it is no valid XML: {error}"),
+        error => format!("it is not valid XML: {error}"),
     })?;
     let root = document.root_element();
     if root.tag_name().name() != "robot" {
-        return Err(format!("it is no URDF: it begins with <{}>, not with <robot>", root.tag_name().name()));
+        return Err(format!(
+            "it is not a URDF: it begins with <{}>, not with <robot>",
+            root.tag_name().name()
+        ));
     }
     let mut description = RobotDescription::default();
     // Transmissions and extensions of simulators contain elements of the same name, which are not joints.
@@ -180,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_with_a_joint_is_said() {
+    fn faults_of_joints_are_named() {
         let with = |joint: &str| {
             parse_urdf(&format!("<robot name='r'><gazebo><joint/></gazebo>{joint}</robot>"), false)
         };
@@ -194,14 +197,14 @@ mod tests {
             with("<transmission><joint name='j'/></transmission>").unwrap(),
             RobotDescription::default()
         );
-        for (attributes, inside, said) in [
+        for (attributes, inside, message) in [
             ("name='j'", ends, "\"j\" has no type"),
             ("name='j' type='welded'", ends, "\"j\" has the type \"welded\""),
             ("name='j' type='fixed'", "<parent link='a'/>", "\"j\" has no child link"),
             ("type='fixed'", "<parent/><child link='b'/>", "\"\" has no parent link"),
         ] {
             let error = joint(attributes, inside).unwrap_err();
-            assert!(error.contains(said), "{error}");
+            assert!(error.contains(message), "{error}");
         }
         for origin in
             ["xyz='1 2'", "xyz='1 2 3 4'", "xyz='1 2 x'", "rpy='0 0 nan'", "rpy='0 inf 0'", "rpy=''"]

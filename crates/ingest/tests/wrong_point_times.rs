@@ -101,7 +101,7 @@ fn times_of_other_points_are_replaced_by_those_of_the_azimuth() {
 }
 
 #[test]
-fn times_in_a_unit_of_their_own_are_stretched_to_the_time_between_clouds() {
+fn times_in_an_unknown_unit_are_scaled_to_the_time_between_clouds() {
     let Some(file) = real_data("lidar3d/walk.bag") else { return };
     let range = planned(&sweeps(&file), &shares);
     let times = range.point_time.unwrap();

@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_looked_at_is_read_again() {
+    fn peeked_bytes_are_read_again() {
         let mut input = Forward::of(Box::new(Slow(b"first\nsecond\nthird")), None);
         assert_eq!(input.peek(3).unwrap(), b"fir");
         assert_eq!(input.peek(8).unwrap(), b"first\nse");

@@ -69,14 +69,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn files_are_told_by_their_beginning() {
+    fn file_kinds_are_recognised_by_their_beginning() {
         assert!(kind_of(b"#ROSBAG V2.0\n").is_some_and(|kind| kind.contains("ROS 1 bag")));
         assert_eq!(kind_of(b"1 2 3\n"), None);
         assert_eq!(kind_of(b""), None);
     }
 
     #[test]
-    fn text_is_told_by_its_beginning_where_none_is_wanted() {
+    fn unwanted_file_kinds_are_recognised_by_their_beginning() {
         let kind = |start: &[u8]| unwanted_kind_of(start).unwrap_or_default();
         assert!(kind(b"<?xml version").contains("URDF") && kind(b"\n  <robot>").contains("URDF"));
         assert!(kind(b"-- Copyright").contains("--config") && kind(b"include \"map").contains("--config"));
@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_quoted_is_short_and_controls_no_terminal() {
+    fn quotes_are_short_and_control_no_terminal() {
         assert_eq!(quoted("it's \"so\""), "\"it's \"so\"\"");
         assert_eq!(quoted("\u{1b}[2J"), "\"\\u{1b}[2J\"");
         assert_eq!(quoted(&"é".repeat(41)), format!("\"{}\" …", "é".repeat(40)));

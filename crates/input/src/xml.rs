@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn what_takes_a_parser_long_is_refused() {
+    fn documents_that_take_a_parser_long_are_refused() {
         let attributes: String = (0..300).map(|i| format!(" a{i}='<'")).collect();
         assert_eq!(check(&format!("<e{attributes}/>")), Err(XmlProblem::Attributes(256)));
         assert_eq!(check(&"<e>".repeat(200)), Err(XmlProblem::Depth(128)));

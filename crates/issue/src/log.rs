@@ -131,7 +131,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn alike_ones_are_one_entry_with_count_and_times() {
+    fn equal_issues_are_one_entry_with_count_and_times() {
         let mut log = IssueLog::default();
         let at =
             |seconds| Issue::new(IssueKind::StampBackward).of("/imu").at(Time::from_unix_seconds(seconds));

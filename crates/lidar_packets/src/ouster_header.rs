@@ -108,7 +108,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn both_orders_tell_their_sensor_and_the_kind_of_packet() {
+    fn both_byte_orders_give_sensor_and_packet_kind() {
         let serial = 122_247_000_785_u64.to_le_bytes();
         let mut standard = vec![0; 64];
         standard[0] = 1;

@@ -111,8 +111,8 @@ impl OusterMetadata {
     /// The layout of a packet: that of the profile in the metadata, or of another one with the same number of
     /// beams and the same length.
     pub fn layout_of(&self, packet: &[u8]) -> Option<PacketLayout> {
-        let told = self.profile.into_iter().chain(PacketProfile::ALL);
-        told.map(|profile| self.layout(profile, packet)).find(|l| l.packet_bytes() == packet.len())
+        let candidates = self.profile.into_iter().chain(PacketProfile::ALL);
+        candidates.map(|profile| self.layout(profile, packet)).find(|l| l.packet_bytes() == packet.len())
     }
 
     /// Whether packets match these metadata: same length, and column numbers below the columns per
@@ -200,9 +200,10 @@ impl Json {
             }
             _ => None,
         });
-        let told = || self.number("lidar_origin_to_beam_origin_mm").filter(is_near);
+        let declared = || self.number("lidar_origin_to_beam_origin_mm").filter(is_near);
         of_transform.unwrap_or_else(|| {
-            let millimetres = told().unwrap_or_else(|| usual_origin(self.text("prod_line").unwrap_or("")));
+            let millimetres =
+                declared().unwrap_or_else(|| usual_origin(self.text("prod_line").unwrap_or("")));
             [0.001 * millimetres, 0.0]
         })
     }

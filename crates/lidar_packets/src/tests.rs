@@ -337,7 +337,7 @@ fn pucks(ahead: impl Fn(u64) -> f64) -> Vec<(Vec<u8>, Time)> {
 }
 
 #[test]
-fn a_clock_that_jumps_goes_on_as_before() {
+fn times_continue_after_a_clock_jump() {
     let stamps = |packets: &[(Vec<u8>, Time)]| {
         let (measured, issues) = decode(&PacketSource::Velodyne(None), packets);
         (sweeps(measured).iter().map(|s| s.stamp).collect::<Vec<_>>(), issues)

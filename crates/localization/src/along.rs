@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn posts_tell_the_place_along_a_street() {
+    fn posts_constrain_the_position_along_a_street() {
         let posts = [-7.1, -4.3, -1.8, 0.4, 2.2, 3.7, 6.3, 8.8];
         let (field, seen) = (street(&posts), points(&posts)[4000..].repeat(20));
         let found = field.along(&seen_from(&seen, 0.31), &Vector3::x(), 0.8);
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn bare_walls_tell_nothing_of_it() {
+    fn bare_walls_do_not_constrain_the_position_along_them() {
         let found = street(&[]).along(&points(&[])[1000..3000], &Vector3::x(), 0.8);
         assert!(found.shift.abs() < 0.02 && found.information < 1.0, "{found:?}");
     }

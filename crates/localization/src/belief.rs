@@ -5,8 +5,8 @@ use nalgebra as na;
 use portolan_geometry::{Quaternion, Rigid3, angle_axis_from_quaternion, quaternion_from_angle_axis};
 
 use crate::settings::tracking::{
-    DRIFT_METRES_BY_TIME, DRIFT_METRES_BY_WAY, DRIFT_RADIANS_BY_TIME, DRIFT_RADIANS_BY_TURN,
-    DRIFT_RADIANS_BY_WAY, INDEPENDENT_METRES, INDEPENDENT_RADIANS, INDEPENDENT_SECONDS,
+    DRIFT_METRES_BY_DISTANCE, DRIFT_METRES_BY_TIME, DRIFT_RADIANS_BY_DISTANCE, DRIFT_RADIANS_BY_TIME,
+    DRIFT_RADIANS_BY_TURN, INDEPENDENT_METRES, INDEPENDENT_RADIANS, INDEPENDENT_SECONDS,
 };
 
 /// Covariance, or information, of a pose in the map: x, y, z, and a small rotation about these axes; metres and radians.
@@ -107,10 +107,10 @@ impl PoseEstimate {
         let turned = self.pose.rotation * motion.translation.vector;
         let mut transition = Matrix6::identity();
         transition.fixed_view_mut::<3, 3>(0, 3).copy_from(&-turned.cross_matrix());
-        let (way, turn) = (motion.translation.vector.norm(), motion.rotation.angle());
+        let (metres, turn) = (motion.translation.vector.norm(), motion.rotation.angle());
         let time = seconds.clamp(0.0, 10.0);
-        let shift = DRIFT_METRES_BY_WAY.powi(2) * way + DRIFT_METRES_BY_TIME.powi(2) * time;
-        let angle = DRIFT_RADIANS_BY_WAY.powi(2) * way
+        let shift = DRIFT_METRES_BY_DISTANCE.powi(2) * metres + DRIFT_METRES_BY_TIME.powi(2) * time;
+        let angle = DRIFT_RADIANS_BY_DISTANCE.powi(2) * metres
             + DRIFT_RADIANS_BY_TURN.powi(2) * turn
             + DRIFT_RADIANS_BY_TIME.powi(2) * time;
         let noise = Matrix6::from_diagonal(&self.freedom.variances(shift, angle));
@@ -118,7 +118,7 @@ impl PoseEstimate {
         self.covariance = self.freedom.restricted(&covariance);
         self.pose *= *motion;
         self.pose.rotation.renormalize();
-        let fresh = way / INDEPENDENT_METRES + turn / INDEPENDENT_RADIANS + time / INDEPENDENT_SECONDS;
+        let fresh = metres / INDEPENDENT_METRES + turn / INDEPENDENT_RADIANS + time / INDEPENDENT_SECONDS;
         self.fresh = (self.fresh + fresh).min(1.0);
     }
 
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn a_corridor_tells_nothing_along_it() {
+    fn a_corridor_does_not_constrain_the_position_along_it() {
         for freedom in [Freedom::TwoD, Freedom::ThreeD] {
             let mut belief = PoseEstimate::new(Rigid3::identity(), freedom, USUAL_MAP_ERROR, (0.2, 0.02));
             let across = Matrix6::from_diagonal(&Vector6::new(0.0, 1e4, 1e4, 1e5, 1e5, 1e5));
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_vary_in_2d_never_does() {
+    fn in_2d_height_and_tilt_never_vary() {
         let mut belief = PoseEstimate::new(Rigid3::identity(), Freedom::TwoD, USUAL_MAP_ERROR, (0.2, 0.02));
         for _ in 0..10_000 {
             belief.predict(&Rigid3::translation(1.0, 0.5, 0.0), 0.1);

@@ -9,7 +9,7 @@ use portolan_grids::{CellIndex, MapLimits};
 use crate::change_regions::{Region, regions};
 use crate::known_cells::{Counts, Known, KnownCells};
 use crate::placed_scan::{PlacedScan, around};
-use crate::settings::changes::{CHANGING_FRACTION, CHANGING_SCANS, LEAST_CHANGED_AREA, VIEWPOINTS};
+use crate::settings::changes::{CHANGING_FRACTION, CHANGING_SCANS, LEAST_CHANGED_AREA, VIEWPOINT_DISTANCE};
 
 /// How a place has changed since the map was made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -113,7 +113,7 @@ impl ChangeGrid {
         regions
     }
 
-    fn note_sighting(&mut self, cell: usize, scan: &PlacedScan) {
+    fn record_observation(&mut self, cell: usize, scan: &PlacedScan) {
         let new = CellSightings {
             first: scan.time,
             last: scan.time,
@@ -122,7 +122,7 @@ impl ChangeGrid {
         };
         let sightings = self.sightings.entry(cell).or_insert(new);
         sightings.last = scan.time;
-        sightings.is_seen_from_two |= (scan.origin.xy() - sightings.from).norm() >= VIEWPOINTS;
+        sightings.is_seen_from_two |= (scan.origin.xy() - sightings.from).norm() >= VIEWPOINT_DISTANCE;
     }
 
     /// Whether and how a cell has changed.
@@ -185,7 +185,7 @@ impl ChangeCounter for ChangeGrid {
             self.passes.count(*cell);
         }
         for cell in new.into_iter().chain(gone) {
-            self.note_sighting(cell, scan);
+            self.record_observation(cell, scan);
         }
     }
 

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use crate::evidence::Verdict;
 use crate::hypothesis::Hypothesis;
-use crate::information::open_direction;
+use crate::information::degenerate_direction;
 use crate::known_map::KnownMap;
 use crate::paired::Discordant;
 use crate::recent::{KeyScan, RecentScans, is_alike};
@@ -67,7 +67,7 @@ pub struct ExaminedPlace {
     /// Pose of the tracking frame in the map when the scan was taken.
     pub map_from_tracking: Rigid3,
     /// Length of the path segment that the place stands for, metres.
-    pub way: f64,
+    pub path_length: f64,
     /// Result of the examination.
     pub distinctness: Distinctness,
     /// Mean fraction of beams that the map explains less the fraction that it contradicts, of the scans on
@@ -79,14 +79,14 @@ pub struct ExaminedPlace {
     pub other: Option<OtherPlace>,
     /// The degenerate direction in the map, along which the scan can be shifted without changing its fit; of
     /// length 0 if only a rotation is degenerate.
-    pub open_direction: Option<Vector3>,
+    pub degenerate_direction: Option<Vector3>,
 }
 
 /// A node that is to be examined, and the distance travelled since the last one.
 struct Stop<'a> {
     id: NodeId,
     node: &'a Node,
-    way: f64,
+    path_length: f64,
     /// Nodes on the path before it, the newest first, as many as scans are kept.
     before: Vec<&'a Node>,
 }
@@ -145,18 +145,27 @@ impl<'a, M: KnownMap> PlaceExaminer<'a, M> {
             map_from_tracking: other.belief.pose * scan_from_tracking,
             fit: other.fit(),
         });
-        let open_direction = open_direction(&here.information, M::FREEDOM);
+        let degenerate_direction = degenerate_direction(&here.information, M::FREEDOM);
         let fit = own.as_ref().map_or(0.0, Hypothesis::fit);
         let judged = own.map(|own| judge(own, others, &self.searcher, &recent));
         let distinctness = match judged {
             _ if Verdict::of(&here.agreement) != Verdict::Supports => Distinctness::Thin,
             None => Distinctness::Thin,
-            Some(Distinctness::Distinct) if open_direction.is_some() => Distinctness::Degenerate,
+            Some(Distinctness::Distinct) if degenerate_direction.is_some() => Distinctness::Degenerate,
             Some(judged) => judged,
         };
-        let (node_id, way) = (stop.id, stop.way);
+        let (node_id, path_length) = (stop.id, stop.path_length);
         let explained = f64::from(here.agreement.explained);
-        ExaminedPlace { node_id, map_from_tracking, way, distinctness, fit, explained, other, open_direction }
+        ExaminedPlace {
+            node_id,
+            map_from_tracking,
+            path_length,
+            distinctness,
+            fit,
+            explained,
+            other,
+            degenerate_direction,
+        }
     }
 
     /// The scan of a node at its pose in the map.
@@ -182,11 +191,11 @@ fn judge<M: KnownMap>(
     let mut places = Places::of_complete_search(std::iter::once(own).chain(others).collect());
     let evidence =
         |a: &Hypothesis, b: &Hypothesis| Discordant::between(&searcher.map, recent, [a, b]).deviations();
-    let judge = Judge { motion: recent.motion(), told: &|_| 0.0, evidence: &evidence };
+    let judge = Judge { motion: recent.motion(), agreement_with_start: &|_| 0.0, evidence: &evidence };
     match places.decide(&judge, true) {
-        Decision::Believed(0) => Distinctness::Distinct,
+        Decision::Accepted(0) => Distinctness::Distinct,
         Decision::Nothing | Decision::Tentative(0, Reason::TooLittleSeen) => Distinctness::Thin,
-        Decision::Believed(_) | Decision::Tentative(..) => Distinctness::Ambiguous,
+        Decision::Accepted(_) | Decision::Tentative(..) => Distinctness::Ambiguous,
     }
 }
 
@@ -202,20 +211,20 @@ fn stops<M: KnownMap>(state: &GraphState<M::Space>) -> Vec<Stop<'_>> {
     let step = |a: &Node, b: &Node| {
         (a.map_from_tracking.translation.vector - b.map_from_tracking.translation.vector).norm()
     };
-    let way = |nodes: &Vec<(NodeId, &Node)>| {
+    let path_length = |nodes: &Vec<(NodeId, &Node)>| {
         nodes.iter().zip(nodes.iter().skip(1)).map(|((_, a), (_, b))| step(a, b)).sum::<f64>()
     };
-    let spacing = EXAMINED_SPACING.max(trajectories.iter().map(way).sum::<f64>() / MOST_EXAMINED);
+    let spacing = EXAMINED_SPACING.max(trajectories.iter().map(path_length).sum::<f64>() / MOST_EXAMINED);
     let mut stops = Vec::new();
     for nodes in &trajectories {
-        let (mut way, mut next) = (0.0, 0.0);
+        let (mut path_length, mut next) = (0.0, 0.0);
         for (i, (id, node)) in nodes.iter().enumerate() {
             let (before, _) = nodes.split_at(i);
-            way += before.last().map_or(0.0, |(_, last)| step(last, node));
-            if way >= next {
-                let before = way_there::<M>(before, node);
-                stops.push(Stop { id: *id, node, way, before });
-                (way, next) = (0.0, spacing);
+            path_length += before.last().map_or(0.0, |(_, last)| step(last, node));
+            if path_length >= next {
+                let before = nodes_before::<M>(before, node);
+                stops.push(Stop { id: *id, node, path_length, before });
+                (path_length, next) = (0.0, spacing);
             }
         }
     }
@@ -223,7 +232,7 @@ fn stops<M: KnownMap>(state: &GraphState<M::Space>) -> Vec<Stop<'_>> {
 }
 
 /// The nodes on the path to a node whose scans localisation would keep, the newest first.
-fn way_there<'a, M: KnownMap>(nodes: &[(NodeId, &'a Node)], node: &Node) -> Vec<&'a Node> {
+fn nodes_before<'a, M: KnownMap>(nodes: &[(NodeId, &'a Node)], node: &Node) -> Vec<&'a Node> {
     let mut after = M::local_from_scan(&node.map_from_tracking);
     let mut kept: Vec<&Node> = Vec::new();
     for (_, node) in nodes.iter().rev() {

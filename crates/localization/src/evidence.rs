@@ -5,8 +5,8 @@ use portolan_geometry::Time;
 use portolan_grids::ScanAgreement;
 
 use crate::settings::evidence::{
-    CONTRADICTING_FRACTION, DOUBTED_SUPPORT, LEAST_KNOWN_FRACTION, MOST_CONTRADICTED, MOST_OF_ONE_SCAN,
-    SCANS_TO_LOSE, SECONDS_OF_NOTHING, SECONDS_TO_CONTRADICT, SECONDS_TO_SUPPORT, SUPPORTING_FRACTION,
+    CONTRADICTING_FRACTION, LEAST_KNOWN_FRACTION, MAX_CHANGE_PER_SCAN, MOST_CONTRADICTED, QUESTIONED_SUPPORT,
+    SCANS_TO_LOSE, SECONDS_TO_CONTRADICT, SECONDS_TO_SUPPORT, SECONDS_WITHOUT_VERDICT, SUPPORTING_FRACTION,
     SURE_SUPPORT, UNSURE_SUPPORT,
 };
 
@@ -51,10 +51,10 @@ impl Support {
     pub fn add(&mut self, verdict: Verdict, time: Time) {
         let seconds = self.last.map_or(0.1, |last| time.seconds_since(last)).max(0.02);
         self.last = Some(time);
-        let step = |whole: f64| (seconds / whole).min(MOST_OF_ONE_SCAN);
+        let step = |whole: f64| (seconds / whole).min(MAX_CHANGE_PER_SCAN);
         self.level += match verdict {
             Verdict::Supports => step(SECONDS_TO_SUPPORT),
-            Verdict::Mixed | Verdict::Unknown => -step(SECONDS_OF_NOTHING),
+            Verdict::Mixed | Verdict::Unknown => -step(SECONDS_WITHOUT_VERDICT),
             Verdict::Contradicts => -step(SECONDS_TO_CONTRADICT),
         };
         self.level = self.level.clamp(0.0, 1.0);
@@ -68,8 +68,8 @@ impl Support {
     }
 
     /// Lowers support so far that the place is no longer certain.
-    pub fn doubt(&mut self) {
-        self.level = self.level.min(DOUBTED_SUPPORT);
+    pub fn lower_to_unsure(&mut self) {
+        self.level = self.level.min(QUESTIONED_SUPPORT);
         self.judge();
     }
 
@@ -127,9 +127,9 @@ mod tests {
     }
 
     #[test]
-    fn it_is_sure_again_later_than_it_became_unsure() {
+    fn support_becomes_sure_at_a_higher_level_than_unsure() {
         let mut support = Support::full();
-        support.doubt();
+        support.lower_to_unsure();
         assert!(!support.is_sure());
         let back = (1..40).find(|i| {
             support.add(Verdict::Supports, at(0.1 * f64::from(*i)));

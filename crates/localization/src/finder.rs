@@ -69,9 +69,9 @@ struct Track {
     rivals: Rivals,
     support: Support,
     last_check: Time,
-    way_since_check: f64,
+    metres_since_check: f64,
     beaten: u32,
-    doubt: Reason,
+    uncertain_reason: Reason,
 }
 
 /// The scan that is being processed.
@@ -92,7 +92,7 @@ pub(crate) struct Finder<M: KnownMap> {
     last: Option<TimedPose>,
     pace: Pace,
     start: Option<(Rigid3, (f64, f64))>,
-    told: Option<GivenStart>,
+    given_start: Option<GivenStart>,
     /// A satellite fix that is newer than all scans so far.
     fix: Option<PositionFix>,
     /// None where changes are not counted.
@@ -110,7 +110,7 @@ impl<M: KnownMap> Finder<M> {
             last: None,
             pace: Pace::default(),
             start,
-            told: None,
+            given_start: None,
             fix: None,
             changes: None,
         }
@@ -133,21 +133,21 @@ impl<M: KnownMap> Finder<M> {
     pub fn add(&mut self, scan: &LocalScan) -> Estimate {
         let local_from_scan = M::local_from_scan(&scan.local_from_tracking);
         let begins_anew = self.pace.is_jump(scan.time, &local_from_scan) || scan.begins_anew;
-        let has_lost_its_way = begins_anew && matches!(self.mode, Mode::Tracking(_));
+        let has_lost_track = begins_anew && matches!(self.mode, Mode::Tracking(_));
         if begins_anew {
             self.begin_anew();
         }
         if let Some((pose, sigmas)) = self.start.take() {
             let map_from_scan = M::local_from_scan(&pose);
-            self.told = Some(GivenStart { map_from_scan, sigmas, local_from_scan });
+            self.given_start = Some(GivenStart { map_from_scan, sigmas, local_from_scan });
         }
         self.reach_fix(&TimedPose { time: scan.time, local_from_scan });
         let current = self.current(scan, local_from_scan);
         let mode =
             std::mem::replace(&mut self.mode, Mode::Searching { places: Places::default(), lost: None });
         let (mode, state, reason) = match mode {
-            searching if has_lost_its_way => (searching, State::Lost, Reason::LocalMapLost),
-            mode if scan.returns.is_empty() => carried(mode, &current),
+            searching if has_lost_track => (searching, State::Lost, Reason::LocalMapLost),
+            mode if scan.returns.is_empty() => predicted_only(mode, &current),
             Mode::Searching { places, lost } => self.search(places, lost, &current),
             Mode::Tracking(track) => self.track(track, &current),
         };
@@ -166,8 +166,8 @@ impl<M: KnownMap> Finder<M> {
 
     /// The start or satellite fix that was searched around last: the pose in the map, and standard
     /// deviations in metres and radians.
-    pub fn told(&self) -> Option<(Rigid3, (f64, f64))> {
-        self.told.map(|told| (told.map_from_scan, told.sigmas))
+    pub fn searched_start(&self) -> Option<(Rigid3, (f64, f64))> {
+        self.given_start.map(|given_start| (given_start.map_from_scan, given_start.sigmas))
     }
 
     /// Uses the waiting fix once a scan has reached its time.
@@ -176,7 +176,7 @@ impl<M: KnownMap> Finder<M> {
         self.fix = None;
         let before = self.last.as_ref().unwrap_or(now);
         if before.time.seconds_since(fix.time) < STALE_FIX && matches!(self.mode, Mode::Searching { .. }) {
-            self.told = Some(GivenStart::of_fix(&fix, before, now));
+            self.given_start = Some(GivenStart::of_fix(&fix, before, now));
         }
     }
 
@@ -204,16 +204,16 @@ impl<M: KnownMap> Finder<M> {
 
     /// Whether the given start agrees with the known place; none while no place is known.
     pub fn start_agrees(&self) -> Option<bool> {
-        let (told, last) = (self.told.as_ref()?, self.last.as_ref()?);
+        let (given_start, last) = (self.given_start.as_ref()?, self.last.as_ref()?);
         let Mode::Tracking(track) = &self.mode else { return None };
-        Some(told.agreement(&track.place, &last.local_from_scan) > START_AGREEMENT)
+        Some(given_start.agreement(&track.place, &last.local_from_scan) > START_AGREEMENT)
     }
 
     /// Starts anew after local SLAM lost track: earlier scans cannot be related to later ones.
     fn begin_anew(&mut self) {
         self.recent.clear();
         self.last = None;
-        self.told = None;
+        self.given_start = None;
         let lost = match &self.mode {
             Mode::Tracking(_) => Some(Reason::LocalMapLost),
             Mode::Searching { lost, .. } => *lost,
@@ -243,7 +243,7 @@ impl<M: KnownMap> Finder<M> {
         let mut places = places;
         places.all.iter_mut().for_each(|place| place.predict(&current.motion, current.seconds));
         if let Offered::Kept { oldest_left } = current.offered {
-            self.searcher.look(places.all.iter_mut(), &current.scan);
+            self.searcher.match_scan(places.all.iter_mut(), &current.scan);
             places.all.iter_mut().for_each(|place| place.remember(oldest_left));
         }
         let is_new = current.offered != Offered::LeftOut;
@@ -256,15 +256,15 @@ impl<M: KnownMap> Finder<M> {
         places.prune();
         let decision = self.decide(&mut places, current, due != Due::Nothing);
         match decision {
-            Decision::Believed(best) => {
+            Decision::Accepted(best) => {
                 let track = Track {
                     place: places.all.swap_remove(best),
                     rivals: Rivals::of(places.all),
                     support: Support::full(),
                     last_check: current.time,
-                    way_since_check: 0.0,
+                    metres_since_check: 0.0,
                     beaten: 0,
-                    doubt: Reason::ScansContradict,
+                    uncertain_reason: Reason::ScansContradict,
                 };
                 (Mode::Tracking(Box::new(track)), State::Localised, Reason::ScansFit)
             }
@@ -281,13 +281,19 @@ impl<M: KnownMap> Finder<M> {
 
     /// Decides on a place, right after a search or between searches.
     fn decide(&self, places: &mut Places, current: &Current<M::Scan>, was_searched: bool) -> Decision {
-        let told = |place: &Hypothesis| {
-            self.told.as_ref().map_or(0.0, |told| told.agreement(place, &current.local_from_scan))
+        let agreement_with_start = |place: &Hypothesis| {
+            self.given_start
+                .as_ref()
+                .map_or(0.0, |given_start| given_start.agreement(place, &current.local_from_scan))
         };
         let evidence = |place: &Hypothesis, other: &Hypothesis| {
             Discordant::between(&self.searcher.map, &self.recent, [place, other]).deviations()
         };
-        let judge = Judge { motion: self.recent.motion(), told: &told, evidence: &evidence };
+        let judge = Judge {
+            motion: self.recent.motion(),
+            agreement_with_start: &agreement_with_start,
+            evidence: &evidence,
+        };
         places.decide(&judge, was_searched)
     }
 
@@ -297,8 +303,8 @@ impl<M: KnownMap> Finder<M> {
         let motion = newest.local_from_scan.inverse() * current.local_from_scan;
         let is_known = |pose: &Rigid3| known.iter().any(|place| place.is_at(&(*pose * motion)));
         let mut found = self.searcher.propose(&self.recent, None, &is_known);
-        if let Some(told) = &self.told {
-            found.extend(self.propose_given_start(told, &newest.local_from_scan, &is_known));
+        if let Some(given_start) = &self.given_start {
+            found.extend(self.propose_given_start(given_start, &newest.local_from_scan, &is_known));
         }
         found.iter_mut().for_each(|place| place.predict(&motion, 0.0));
         found
@@ -307,19 +313,23 @@ impl<M: KnownMap> Finder<M> {
     /// Proposes places where the recent scans fit around the given start or satellite fix.
     fn propose_given_start(
         &self,
-        told: &GivenStart,
+        given_start: &GivenStart,
         local_from_scan: &Rigid3,
         is_known: &(dyn Fn(&Rigid3) -> bool + Sync),
     ) -> Vec<Hypothesis> {
-        if told.sigmas.1 > KNOWN_HEADING_SIGMA {
-            let area = Some(told.area(local_from_scan)).filter(|area| area.metres <= WIDEST_START_AREA);
+        if given_start.sigmas.1 > KNOWN_HEADING_SIGMA {
+            let area =
+                Some(given_start.area(local_from_scan)).filter(|area| area.metres <= WIDEST_START_AREA);
             return area
                 .map_or_else(Vec::new, |area| self.searcher.propose(&self.recent, Some(area), is_known));
         }
-        let near = told.map_from_scan * told.local_from_scan.inverse() * local_from_scan;
-        let window = Window { metres: WINDOW_SIGMAS * told.sigmas.0, radians: WINDOW_SIGMAS * told.sigmas.1 };
+        let near = given_start.map_from_scan * given_start.local_from_scan.inverse() * local_from_scan;
+        let window = Window {
+            metres: WINDOW_SIGMAS * given_start.sigmas.0,
+            radians: WINDOW_SIGMAS * given_start.sigmas.1,
+        };
         let map = &self.searcher.map;
-        let settled = map.settle(&map.joint(&self.recent), &near, window);
+        let settled = map.refine_pose(&map.joint(&self.recent), &near, window);
         Hypothesis::along(map, &self.recent, &settled).into_iter().collect()
     }
 
@@ -328,23 +338,23 @@ impl<M: KnownMap> Finder<M> {
         let map = &self.searcher.map;
         track.place.predict(&current.motion, current.seconds);
         track.rivals.predict(&current.motion, current.seconds);
-        track.place.look(map, &current.scan);
+        track.place.match_scan(map, &current.scan);
         let verdict = Verdict::of(&track.place.agreement);
         if verdict == Verdict::Contradicts {
             let wide = map.find(&current.scan, &track.place.belief.pose, SLIP_WINDOW);
             let is_better = fit(&wide.agreement) > fit(&track.place.agreement) + SLIP_FIT;
             if is_better && Verdict::of(&wide.agreement) == Verdict::Supports {
                 track.rivals.add_left(track.place.clone());
-                track.place.slip(&wide, SLIP_SIGMAS);
-                track.support.doubt();
+                track.place.move_to(&wide, SLIP_SIGMAS);
+                track.support.lower_to_unsure();
             }
         }
         track.support.add(verdict, current.time);
         if let Offered::Kept { oldest_left } = current.offered {
             track.place.remember(oldest_left);
-            track.rivals.look(&self.searcher, &current.scan, oldest_left, &track.place);
+            track.rivals.match_scan(&self.searcher, &current.scan, oldest_left, &track.place);
         }
-        track.way_since_check += current.motion.translation.vector.norm();
+        track.metres_since_check += current.motion.translation.vector.norm();
         if let Some(since) = track.support.contradicted_since() {
             self.recent.forget_before(since);
             return lost(Reason::ScansContradict);
@@ -353,23 +363,25 @@ impl<M: KnownMap> Finder<M> {
             return lost(Reason::OutsideTheMap);
         }
         match verdict {
-            Verdict::Unknown if !track.support.is_contradicted() => track.doubt = Reason::OutsideTheMap,
-            Verdict::Contradicts => track.doubt = Reason::ScansContradict,
+            Verdict::Unknown if !track.support.is_contradicted() => {
+                track.uncertain_reason = Reason::OutsideTheMap
+            }
+            Verdict::Contradicts => track.uncertain_reason = Reason::ScansContradict,
             _ => {}
         }
         if let Some(rivals) = track.rivals.take_over(&track.place) {
-            return outdone(&track.place, rivals, current.time);
+            return replaced(&track.place, rivals, current.time);
         }
         if track.is_check_due(current.time) {
             let rivals = self.propose(current, std::slice::from_ref(&track.place));
             if track.is_beaten(&rivals, current.time) {
-                return outdone(&track.place, rivals, current.time);
+                return replaced(&track.place, rivals, current.time);
             }
         }
         let (state, reason) = match track.support.is_sure() {
-            true if track.rivals.raise_doubt(&track.place) => (State::Uncertain, Reason::SeveralPlacesFit),
+            true if track.rivals.is_uncertain(&track.place) => (State::Uncertain, Reason::SeveralPlacesFit),
             true => (State::Localised, Reason::ScansFit),
-            false => (State::Uncertain, track.doubt),
+            false => (State::Uncertain, track.uncertain_reason),
         };
         (Mode::Tracking(track), state, reason)
     }
@@ -395,7 +407,7 @@ impl<M: KnownMap> Finder<M> {
 }
 
 /// Predicts after a scan without returns: only local SLAM measures the motion.
-fn carried<S>(mode: Mode, current: &Current<S>) -> (Mode, State, Reason) {
+fn predicted_only<S>(mode: Mode, current: &Current<S>) -> (Mode, State, Reason) {
     let reason = Reason::PlaceHidden;
     match mode {
         Mode::Searching { mut places, lost } => {
@@ -411,7 +423,7 @@ fn carried<S>(mode: Mode, current: &Current<S>) -> (Mode, State, Reason) {
             track.place.predict(&current.motion, current.seconds);
             track.rivals.predict(&current.motion, current.seconds);
             track.support.add(Verdict::Unknown, current.time);
-            track.doubt = reason;
+            track.uncertain_reason = reason;
             if track.place.belief.sigmas().0 > LOST_SIGMA {
                 return lost(reason);
             }
@@ -426,10 +438,10 @@ fn lost(reason: Reason) -> (Mode, State, Reason) {
 }
 
 /// Gives up the accepted place because another one fits better: both become candidates again.
-fn outdone(believed: &Hypothesis, better: Vec<Hypothesis>, time: Time) -> (Mode, State, Reason) {
+fn replaced(accepted: &Hypothesis, better: Vec<Hypothesis>, time: Time) -> (Mode, State, Reason) {
     let mut places = Places::default();
     places.merge(better, time);
-    places.merge(vec![believed.clone()], time);
+    places.merge(vec![accepted.clone()], time);
     let reason = Reason::AnotherPlaceFitsBetter;
     (Mode::Searching { places, lost: Some(reason) }, State::Lost, reason)
 }
@@ -438,7 +450,7 @@ impl Track {
     fn is_check_due(&self, time: Time) -> bool {
         let waited = time.seconds_since(self.last_check);
         if self.support.is_sure() && self.beaten == 0 {
-            waited >= SURE_CHECK_SECONDS && self.way_since_check >= SURE_CHECK_METRES
+            waited >= SURE_CHECK_SECONDS && self.metres_since_check >= SURE_CHECK_METRES
         } else {
             waited >= UNCERTAIN_CHECK_SECONDS
         }
@@ -446,7 +458,7 @@ impl Track {
 
     /// Compares the place with others that a search proposed; returns whether it is given up.
     fn is_beaten(&mut self, rivals: &[Hypothesis], time: Time) -> bool {
-        (self.last_check, self.way_since_check) = (time, 0.0);
+        (self.last_check, self.metres_since_check) = (time, 0.0);
         let own = self.place.fit();
         let is_better = |rival: &Hypothesis| {
             !rival.is_same_place(&self.place) && rival.fit() > BETTER_FIT && rival.fit() > own + BETTER_BY
@@ -456,8 +468,8 @@ impl Track {
             return false;
         }
         self.beaten += 1;
-        self.support.doubt();
-        self.doubt = Reason::AnotherPlaceFitsBetter;
+        self.support.lower_to_unsure();
+        self.uncertain_reason = Reason::AnotherPlaceFitsBetter;
         self.beaten >= CONFIRMING_SEARCHES
     }
 }

@@ -41,8 +41,8 @@ pub enum GrowthError {
     NeverLocalised,
     /// It was not localised far enough, or its localisation was always called into question soon after.
     #[error(
-        "it was localised, but nowhere on 5 m of way or more without a doubt soon after, so that nothing of it is \
-         believed; record a longer way through what the map knows"
+        "it was localised, but on no path of 5 m or more without contradictions soon after, so that none of its poses \
+         is trusted; record a longer path through parts that the map contains"
     )]
     NothingTrusted,
 }

@@ -106,7 +106,7 @@ impl Hypothesis {
     }
 
     /// Matches a scan near the prediction and updates the pose.
-    pub fn look<M: KnownMap>(&mut self, map: &M, scan: &M::Scan) {
+    pub fn match_scan<M: KnownMap>(&mut self, map: &M, scan: &M::Scan) {
         let found = map.find(scan, &self.belief.pose, self.window());
         if self.belief.distance(&found.pose, &found.information) < GATE_SQUARED_SIGMAS {
             self.belief.update(&found.pose, &found.information);
@@ -117,7 +117,7 @@ impl Hypothesis {
 
     /// Moves the estimate to a match of the newest scan far from the prediction, with these standard
     /// deviations (metres, radians).
-    pub fn slip(&mut self, found: &ScanMatch, sigmas: (f64, f64)) {
+    pub fn move_to(&mut self, found: &ScanMatch, sigmas: (f64, f64)) {
         self.belief = self.belief.elsewhere(found.pose, sigmas);
         self.agreement = found.agreement;
     }

@@ -18,7 +18,7 @@ pub(crate) struct Contact {
 pub(crate) fn information(contacts: impl Iterator<Item = Contact>, freedom: Freedom) -> Matrix6 {
     let (mut sum, mut along_surfaces) = (Matrix6::zeros(), Matrix6::zeros());
     for Contact { lever, normal } in contacts {
-        let (_, along_normal) = outer(&lever, &normal);
+        let (_, along_normal) = distance_information(&lever, &normal);
         sum += along_normal;
         along_surfaces += along_surface(&lever, &along_normal);
     }
@@ -34,7 +34,7 @@ pub(crate) fn information(contacts: impl Iterator<Item = Contact>, freedom: Free
 
 /// Derivative by the pose of a distance along a direction, for a point at a lever from the scanner, and its
 /// outer product: the information of that distance.
-pub(crate) fn outer(lever: &Vector3, direction: &Vector3) -> (Vector6, Matrix6) {
+pub(crate) fn distance_information(lever: &Vector3, direction: &Vector3) -> (Vector6, Matrix6) {
     let turn = lever.cross(direction);
     let row = Vector6::new(direction.x, direction.y, direction.z, turn.x, turn.y, turn.z);
     (row, row * row.transpose())
@@ -44,7 +44,7 @@ pub(crate) fn outer(lever: &Vector3, direction: &Vector3) -> (Vector6, Matrix6) 
 /// normal has the given one.
 pub(crate) fn along_surface(lever: &Vector3, along_normal: &Matrix6) -> Matrix6 {
     let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
-    axes.map(|axis| outer(lever, &axis).1).iter().sum::<Matrix6>() - along_normal
+    axes.map(|axis| distance_information(lever, &axis).1).iter().sum::<Matrix6>() - along_normal
 }
 
 /// In 3D: the positive part of the information.
@@ -86,7 +86,7 @@ const NOTHING: f64 = 1e-9;
 
 /// The degenerate direction of a match, as a unit vector in the map, or of length 0 if that is a rotation
 /// alone; none if all directions are constrained.
-pub(crate) fn open_direction(information: &Matrix6, freedom: Freedom) -> Option<Vector3> {
+pub(crate) fn degenerate_direction(information: &Matrix6, freedom: Freedom) -> Option<Vector3> {
     let lever = lever_scale(information, freedom);
     let scale = Vector6::new(1.0, 1.0, 1.0, lever, lever, lever);
     let mut scaled = information.component_mul(&(scale * scale.transpose()).map(|v: f64| 1.0 / v));
@@ -97,8 +97,8 @@ pub(crate) fn open_direction(information: &Matrix6, freedom: Freedom) -> Option<
     let (index, least) = eigen.eigenvalues.argmin();
     let direction = eigen.eigenvectors.column(index).fixed_rows::<3>(0).into_owned();
     let is_turn = direction.norm() < std::f64::consts::FRAC_1_SQRT_2;
-    let is_open = least <= NOTHING * most;
-    is_open.then(|| if is_turn { Vector3::zeros() } else { direction.normalize() })
+    let is_degenerate = least <= NOTHING * most;
+    is_degenerate.then(|| if is_turn { Vector3::zeros() } else { direction.normalize() })
 }
 
 #[cfg(test)]
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn in_3d_ground_hides_nothing_of_what_trees_tell() {
+    fn in_3d_ground_does_not_hide_information_from_trunks() {
         let ground =
             (-20..=20).flat_map(|i| (-20..=20).map(move |j| [0.5 * f64::from(i), 0.5 * f64::from(j)]));
         let ground = ground.map(|[x, y]| Contact { lever: Vector3::new(x, y, -1.0), normal: Vector3::z() });
@@ -133,10 +133,10 @@ mod tests {
     }
 
     #[test]
-    fn a_corridor_is_open_along_its_walls_and_a_room_is_not() {
+    fn a_corridor_is_degenerate_along_its_walls_and_a_room_is_not() {
         let corridor = walls(&[[0.6, 0.8], [-0.6, -0.8]]);
-        let open = open_direction(&corridor, Freedom::TwoD).unwrap();
-        assert!(open.cross(&Vector3::new(-0.8, 0.6, 0.0)).norm() < 1e-6, "{open}");
-        assert_eq!(open_direction(&walls(&[[1.0, 0.0], [0.0, 1.0]]), Freedom::TwoD), None);
+        let direction = degenerate_direction(&corridor, Freedom::TwoD).unwrap();
+        assert!(direction.cross(&Vector3::new(-0.8, 0.6, 0.0)).norm() < 1e-6, "{direction}");
+        assert_eq!(degenerate_direction(&walls(&[[1.0, 0.0], [0.0, 1.0]]), Freedom::TwoD), None);
     }
 }

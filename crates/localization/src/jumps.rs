@@ -10,8 +10,8 @@ use portolan_geometry::{
 };
 
 use crate::settings::jumps::{
-    CONFIRMED_AFTER, METRES_BY_TIME, METRES_BY_TURN, METRES_BY_WAY, OTHER_PLACE, RADIANS_BY_TIME,
-    RADIANS_BY_TURN, RADIANS_BY_WAY,
+    CONFIRMED_AFTER, METRES_BY_DISTANCE, METRES_BY_TIME, METRES_BY_TURN, OTHER_PLACE, RADIANS_BY_DISTANCE,
+    RADIANS_BY_TIME, RADIANS_BY_TURN,
 };
 use crate::state::{Estimate, Reason, State};
 
@@ -47,7 +47,7 @@ impl Jumps {
 pub struct Corrections {
     jumps: Jumps,
     /// `map_from_local` as reported.
-    told: Option<Rigid3>,
+    reported: Option<Rigid3>,
     last: Option<(Time, Rigid3)>,
     /// Time since which another place is localised, and its `map_from_local`.
     elsewhere: Option<(Time, Rigid3)>,
@@ -56,7 +56,7 @@ pub struct Corrections {
 impl Corrections {
     /// Nothing has been reported yet.
     pub fn new(jumps: Jumps) -> Self {
-        Self { jumps, told: None, last: None, elsewhere: None }
+        Self { jumps, reported: None, last: None, elsewhere: None }
     }
 
     /// Takes the next estimate; returns the pose of the tracking frame in the map for the driver. None until
@@ -70,23 +70,23 @@ impl Corrections {
         let before = self.last.replace((estimate.time, local_from_tracking));
         if let (State::Localised, Some(place)) = (estimate.state, &estimate.place) {
             let found = place.map_from_tracking * local_from_tracking.inverse();
-            let told = self.corrected(estimate, &found, before);
-            self.told = Some(told);
+            let reported = self.corrected(estimate, &found, before);
+            self.reported = Some(reported);
         }
-        self.told.map(|map_from_local| map_from_local * local_from_tracking)
+        self.reported.map(|map_from_local| map_from_local * local_from_tracking)
     }
 
     /// `map_from_local` as reported last.
     pub fn map_from_local(&self) -> Option<Rigid3> {
-        self.told
+        self.reported
     }
 
     fn corrected(&mut self, estimate: &Estimate, found: &Rigid3, before: Option<(Time, Rigid3)>) -> Rigid3 {
-        let (Some(told), Some((time, from))) = (self.told, before) else { return *found };
+        let (Some(reported), Some((time, from))) = (self.reported, before) else { return *found };
         let at = estimate.local_from_tracking;
         // Compared at the robot: a rotation about the far origin of the local map must not count as a
         // translation.
-        let (now, wanted) = (told * at, *found * at);
+        let (now, wanted) = (reported * at, *found * at);
         let is_jump = (wanted.translation.vector - now.translation.vector).norm() > OTHER_PLACE.metres
             || rotation_angle(&(now.inverse() * wanted)) > OTHER_PLACE.radians;
         if self.jumps == Jumps::Immediate
@@ -95,13 +95,13 @@ impl Corrections {
             return *found;
         }
         if self.jumps == Jumps::Hold && is_jump {
-            return told;
+            return reported;
         }
         let motion = from.inverse() * at;
-        let (way, turn) = (motion.translation.vector.norm(), rotation_angle(&motion));
+        let (metres, turn) = (motion.translation.vector.norm(), rotation_angle(&motion));
         let seconds = estimate.time.seconds_since(time).clamp(0.0, 1.0);
-        let most_shift = METRES_BY_WAY * way + METRES_BY_TURN * turn + METRES_BY_TIME * seconds;
-        let most_turn = RADIANS_BY_WAY * way + RADIANS_BY_TURN * turn + RADIANS_BY_TIME * seconds;
+        let most_shift = METRES_BY_DISTANCE * metres + METRES_BY_TURN * turn + METRES_BY_TIME * seconds;
+        let most_turn = RADIANS_BY_DISTANCE * metres + RADIANS_BY_TURN * turn + RADIANS_BY_TIME * seconds;
         towards(&now, &wanted, most_shift, most_turn) * at.inverse()
     }
 
@@ -155,7 +155,7 @@ mod tests {
     }
 
     /// Lateral positions reported to the driver, scan by scan; the place jumps by `jump` metres after 2 s.
-    fn told(jumps: Jumps, jump: f64) -> Vec<f64> {
+    fn reported(jumps: Jumps, jump: f64) -> Vec<f64> {
         let mut corrections = Corrections::new(jumps);
         let off = |i: i64| if i < 20 { 1.0 } else { 1.0 + jump };
         (0..200)
@@ -164,22 +164,22 @@ mod tests {
             .collect()
     }
 
-    fn largest_step(told: &[f64]) -> f64 {
-        told.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max)
+    fn largest_step(reported: &[f64]) -> f64 {
+        reported.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max)
     }
 
     #[test]
-    fn each_policy_does_as_it_says() {
-        assert!((largest_step(&told(Jumps::Immediate, 3.0)) - 3.0).abs() < 1e-9);
-        let smooth = told(Jumps::Smooth, 0.3);
+    fn jumps_follow_the_policy() {
+        assert!((largest_step(&reported(Jumps::Immediate, 3.0)) - 3.0).abs() < 1e-9);
+        let smooth = reported(Jumps::Smooth, 0.3);
         assert!(largest_step(&smooth) < 0.011 && (smooth[199] - 1.3).abs() < 1e-9, "{smooth:?}");
-        let hold = told(Jumps::Hold, 3.0);
+        let hold = reported(Jumps::Hold, 3.0);
         assert!((hold[39] - 1.0).abs() < 1e-9 && (hold[41] - 4.0).abs() < 1e-9, "{:?}", &hold[38..42]);
-        assert!(largest_step(&told(Jumps::Hold, 0.3)) < 0.011);
+        assert!(largest_step(&reported(Jumps::Hold, 0.3)) < 0.011);
     }
 
     #[test]
-    fn poses_go_on_while_nothing_is_known_and_not_across_a_loss_of_the_local_map() {
+    fn poses_follow_local_slam_while_not_localised_but_not_across_a_loss_of_the_local_map() {
         let mut corrections = Corrections::new(Jumps::Hold);
         assert!(corrections.add(&estimate(0, 1.0, State::Tentative)).is_none());
         assert!(corrections.add(&estimate(1, 1.0, State::Localised)).is_some());

@@ -158,7 +158,7 @@ fn known(grid: &ProbabilityGrid, field: &LikelihoodField, limits: &MapLimits, fa
         let first = factor.saturating_mul(cell);
         (first, first.saturating_add(factor).min(count as i32))
     };
-    let says = |cell: CellIndex| {
+    let cell_state = |cell: CellIndex| {
         let (left, right) = within(cell.x, grid.limits().num_x_cells());
         let (top, bottom) = within(cell.y, grid.limits().num_y_cells());
         let (mut unknown, mut near_solid) = (right - left < factor || bottom - top < factor, false);
@@ -177,7 +177,7 @@ fn known(grid: &ProbabilityGrid, field: &LikelihoodField, limits: &MapLimits, fa
         if unknown || near_solid { Known::Nothing } else { Known::Free }
     };
     let (columns, rows) = (limits.num_x_cells() as i32, limits.num_y_cells() as i32);
-    (0..rows).flat_map(|y| (0..columns).map(move |x| CellIndex::new(x, y))).map(says).collect()
+    (0..rows).flat_map(|y| (0..columns).map(move |x| CellIndex::new(x, y))).map(cell_state).collect()
 }
 
 #[cfg(test)]

@@ -25,14 +25,14 @@ pub enum KnownMapError {
     #[error("the map is empty: it has no submap")]
     Empty,
     /// Its submaps have no grids: the user removed them, or the file is damaged.
-    #[error("the map has {0} submaps, but not one with a grid: there is nothing to find scans in")]
+    #[error("the map has {0} submaps, but none of them has a grid: scans cannot be matched to it")]
     NoGrids(usize),
     /// No cell of its grids is solid.
-    #[error("nothing in the map is solid: its grids show no wall to find scans by")]
+    #[error("the map has no occupied cells: its grids show no wall that scans could be matched to")]
     NoWalls,
     /// It is so far from the origin that single precision cannot distinguish cells.
     #[error(
-        "the map lies {:.0} km from the origin of its frame, where grids have no place: bring it into a frame near it",
+        "the map is {:.0} km from the origin of its frame, which is too far for grids: transform it to a frame whose origin is near",
         .0 / 1e3
     )]
     Far(f64),
@@ -56,7 +56,7 @@ impl From<FromAboveError> for KnownMapError {
 
 impl KnownMapError {
     /// Rejects a map that is not near the origin.
-    pub(crate) fn unless_near<S: Space>(state: &GraphState<S>) -> Result<(), Self> {
+    pub(crate) fn require_near_origin<S: Space>(state: &GraphState<S>) -> Result<(), Self> {
         let places = state.submaps.keys().filter_map(|id| state.map_from_submap(*id));
         let metres = NearFrame::around(places.map(|pose| pose.translation.vector)).origin().norm();
         if metres < FARTHEST { Ok(()) } else { Err(Self::Far(metres)) }
@@ -136,7 +136,7 @@ pub trait KnownMap: Sized + Send + Sync + 'static {
         is_known: &(dyn Fn(&Rigid3) -> bool + Sync),
     ) -> Vec<Rigid3>;
     /// The pose in a window around a guess at which the joint scan fits best.
-    fn settle(&self, joint: &Self::Joint, guess: &Rigid3, window: Window) -> Rigid3;
+    fn refine_pose(&self, joint: &Self::Joint, guess: &Rigid3, window: Window) -> Rigid3;
     /// Matches a scan in a window around a guess.
     fn find(&self, scan: &Self::Scan, guess: &Rigid3, window: Window) -> ScanMatch;
     /// The judging points of a scan, in its frame, each with the state of the map at the

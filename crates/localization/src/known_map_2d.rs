@@ -36,7 +36,7 @@ impl KnownMap2d {
         if state.submaps.is_empty() {
             return Err(KnownMapError::Empty);
         }
-        KnownMapError::unless_near(state)?;
+        KnownMapError::require_near_origin(state)?;
         let placed: Vec<Placed> = state
             .submaps
             .iter()
@@ -200,12 +200,12 @@ fn limits(placed: &[Placed]) -> Result<Option<MapLimits>, GridError> {
 fn fuse(placed: &[Placed], limits: MapLimits) -> ProbabilityGrid {
     let mut evidence = vec![0.0_f32; limits.num_cells()];
     for submap in placed {
-        let Some(says) = Evidence::of(submap.grid) else { continue };
-        if limits.resolution() > 1.5 * says.limits.resolution() {
-            add_most_in_larger_cells(&mut evidence, submap, &says, &limits);
+        let Some(evidence_of_submap) = Evidence::of(submap.grid) else { continue };
+        if limits.resolution() > 1.5 * evidence_of_submap.limits.resolution() {
+            add_most_in_larger_cells(&mut evidence, submap, &evidence_of_submap, &limits);
             continue;
         }
-        add_between_cells(&mut evidence, submap, &says, &limits);
+        add_between_cells(&mut evidence, submap, &evidence_of_submap, &limits);
     }
     let mut grid = ProbabilityGrid::new(limits);
     for (cell, sum) in all_cells(&limits).zip(evidence).filter(|(_, sum)| *sum != 0.0) {
@@ -215,31 +215,43 @@ fn fuse(placed: &[Placed], limits: MapLimits) -> ProbabilityGrid {
 }
 
 /// Adds the evidence of a submap at the centres of cells.
-fn add_between_cells(evidence: &mut [f32], submap: &Placed, says: &Evidence, limits: &MapLimits) {
+fn add_between_cells(
+    evidence: &mut [f32],
+    submap: &Placed,
+    evidence_of_submap: &Evidence,
+    limits: &MapLimits,
+) {
     let to_grid = submap.map_from_grid.inverse().point_transform();
-    let place = |x, y| says.place(&to_grid(&limits.cell_center(CellIndex::new(x, y))));
+    let place = |x, y| evidence_of_submap.place(&to_grid(&limits.cell_center(CellIndex::new(x, y))));
     let first = place(0, 0);
     let (by_column, by_row) = (place(1, 0) - first, place(0, 1) - first);
-    let CellBox { min, max } = says.reached(&submap.map_from_grid, limits);
+    let CellBox { min, max } = evidence_of_submap.reached(&submap.map_from_grid, limits);
     for y in min.y..=max.y {
         let row = first + f64::from(y) * by_row;
         let start = y as usize * limits.num_x_cells() as usize;
         let cells = evidence.get_mut(start + min.x as usize..=start + max.x as usize);
         for (sum, x) in cells.into_iter().flatten().zip(min.x..) {
-            *sum += says.at(&(row + f64::from(x) * by_column));
+            *sum += evidence_of_submap.at(&(row + f64::from(x) * by_column));
         }
     }
 }
 
 /// Adds the strongest evidence of a submap in each of some larger cells, so that walls between their centres
 /// are kept.
-fn add_most_in_larger_cells(evidence: &mut [f32], submap: &Placed, says: &Evidence, limits: &MapLimits) {
-    let reached = says.reached(&submap.map_from_grid, limits);
+fn add_most_in_larger_cells(
+    evidence: &mut [f32],
+    submap: &Placed,
+    evidence_of_submap: &Evidence,
+    limits: &MapLimits,
+) {
+    let reached = evidence_of_submap.reached(&submap.map_from_grid, limits);
     let (columns, rows) = (reached.num_x_cells() as usize, reached.num_y_cells() as usize);
     let mut most = vec![f32::NEG_INFINITY; columns * rows];
     let to_map = submap.map_from_grid.point_transform();
-    for (cell, value) in says.cells.cells().zip(&says.log_odds).filter(|(_, value)| **value != 0.0) {
-        let at = limits.cell_index(to_map(&says.limits.cell_center(cell)).cast::<f32>());
+    for (cell, value) in
+        evidence_of_submap.cells.cells().zip(&evidence_of_submap.log_odds).filter(|(_, value)| **value != 0.0)
+    {
+        let at = limits.cell_index(to_map(&evidence_of_submap.limits.cell_center(cell)).cast::<f32>());
         let (column, row) = (at.x.wrapping_sub(reached.min.x), at.y.wrapping_sub(reached.min.y));
         let (column, row) = (column as u32 as usize, row as u32 as usize);
         if let Some(most) = most.get_mut(row.saturating_mul(columns) + column).filter(|_| column < columns) {
@@ -308,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn submaps_lie_where_the_pose_graph_puts_them_and_add_up() {
+    fn submaps_are_placed_by_the_pose_graph_and_summed() {
         let turned = Rigid3::new(
             portolan_geometry::Vector3::new(5.0, 0.0, 0.0),
             portolan_geometry::Vector3::z() * std::f64::consts::FRAC_PI_2,
@@ -323,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn maps_without_anything_to_find_scans_by_are_told() {
+    fn maps_without_grids_are_refused() {
         assert!(matches!(KnownMap2d::new(&GraphState::default()), Err(KnownMapError::Empty)));
         let mut without_grids = state(&[Rigid3::identity()]);
         without_grids.submaps.values_mut().for_each(|entry| entry.submap = None);

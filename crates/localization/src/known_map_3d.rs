@@ -59,7 +59,7 @@ impl KnownMap3d {
         if state.submaps.is_empty() {
             return Err(KnownMapError::Empty);
         }
-        KnownMapError::unless_near(state)?;
+        KnownMapError::require_near_origin(state)?;
         if state.submaps.values().all(|entry| entry.submap.is_none()) {
             return Err(KnownMapError::NoGrids(state.submaps.len()));
         }
@@ -124,13 +124,13 @@ impl KnownMap3d {
         let shifts = by_planes.fixed_view::<3, 3>(0, 0).into_owned().symmetric_eigen();
         let direction: Vector3 = shifts.eigenvectors.column(shifts.eigenvalues.argmin().0).into_owned();
         let (map_from_scan, along) = (to_f32(pose), direction.cast::<f32>());
-        let tells = |point: &Point3f| {
+        let constrains = |point: &Point3f| {
             self.planes.plane_near(point).is_none_or(|plane| {
                 let is_near = plane.normal.dot(&(point.coords - plane.point)).abs() < ON_PLANE;
                 !is_near || f64::from(plane.normal.dot(&along).abs()) > SLIDING_COSINE
             })
         };
-        let placed: Vec<Point3f> = points.iter().map(|p| map_from_scan * p).filter(tells).collect();
+        let placed: Vec<Point3f> = points.iter().map(|p| map_from_scan * p).filter(constrains).collect();
         let found = self.solid.along(
             &placed,
             &direction,
@@ -272,7 +272,7 @@ impl KnownMap for KnownMap3d {
         let area = area.as_ref().map(|area| (&area.centre, area.metres));
         let found = self.above.find(&joint.columns, area);
         let settled = found.poses.par_iter().filter(|pose| !is_known(pose)).map(|pose| {
-            let pose = self.settle(joint, pose, AROUND_PROPOSAL_3D);
+            let pose = self.refine_pose(joint, pose, AROUND_PROPOSAL_3D);
             let agreement = self.agreement_of(&joint.points, &pose);
             (agreement.explained - agreement.contradicted(), pose)
         });
@@ -281,7 +281,7 @@ impl KnownMap for KnownMap3d {
         settled.into_iter().take(MOST_PROPOSALS_3D).map(|(_, pose)| pose).collect()
     }
 
-    fn settle(&self, joint: &JointScan3d, guess: &Rigid3, window: Window) -> Rigid3 {
+    fn refine_pose(&self, joint: &JointScan3d, guess: &Rigid3, window: Window) -> Rigid3 {
         let mut pose = self.search(&joint.points, guess, window);
         for _ in 0..MOST_SLIDES {
             let (slid, _) = self.slide((&joint.thinned, &joint.points, &joint.points), &pose, window);

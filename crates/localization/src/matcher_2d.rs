@@ -99,10 +99,10 @@ impl KnownMap for KnownMap2d {
             None => self.places.find(&joint.cloud, &PROPOSALS_2D),
         };
         let poses = found.places.iter().map(|place| embed_3d(&place.pose)).filter(|pose| !is_known(pose));
-        poses.map(|pose| self.settle(joint, &pose, AROUND_PROPOSAL_2D)).collect()
+        poses.map(|pose| self.refine_pose(joint, &pose, AROUND_PROPOSAL_2D)).collect()
     }
 
-    fn settle(&self, joint: &JointScan2d, guess: &Rigid3, window: Window) -> Rigid3 {
+    fn refine_pose(&self, joint: &JointScan2d, guess: &Rigid3, window: Window) -> Rigid3 {
         let JointScan2d { cloud, points } = joint;
         embed_3d(&self.matcher.place(self, cloud, points, &project_2d(guess), window))
     }

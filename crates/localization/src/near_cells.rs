@@ -40,7 +40,7 @@ impl NearCells {
 
     /// The set extended by two cells along each axis: axis by axis.
     #[must_use]
-    pub fn with_two_around(&self) -> Self {
+    pub fn dilated_by_two(&self) -> Self {
         let along_x = self.rows.iter().map(|row| row | row << 1 | row << 2 | row >> 1 | row >> 2);
         let rows = along_x.collect();
         let rows = joined(rows, 1);
@@ -87,7 +87,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_is_a_set_of_the_cells_within_reach() {
+    fn near_cells_are_a_set_of_the_cells_within_reach() {
         let place = [40, -1000, 7];
         let (mut near, mut expected) = (NearCells::around(place), BTreeSet::new());
         let reach = NearCells::REACH;
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_around_ends_at_the_edges() {
+    fn neighbours_end_at_the_edges() {
         let reach = NearCells::REACH;
         for middle in [[0, 0, 0], [reach, 0, -reach], [reach - 1, reach, 1 - reach], [-reach - 1, -reach, 3]]
         {
@@ -118,7 +118,7 @@ mod tests {
                     expected.insert(cell);
                 }
             }
-            assert_eq!(near.with_two_around().iter().collect::<BTreeSet<_>>(), expected, "{middle:?}");
+            assert_eq!(near.dilated_by_two().iter().collect::<BTreeSet<_>>(), expected, "{middle:?}");
         }
     }
 }

@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn what_scans_do_not_say_of_themselves_is_the_maps() {
+    fn errors_not_explained_by_scans_are_those_of_the_map() {
         let with = |sigma: f64, known: f64| {
             let covariance = Matrix3::identity() * (known * known);
             let offsets: Vec<_> = offsets(sigma).into_iter().map(|offset| (offset, covariance)).collect();

@@ -30,11 +30,11 @@ impl Pace {
             return true;
         }
         let since = self.since.get_or_insert(here);
-        let (way, seconds) = motion(since, &here);
+        let (translation, seconds) = motion(since, &here);
         if seconds >= SPEED_SPAN {
             *since = here;
-            self.fastest = self.fastest.max(way.norm() / seconds);
-            self.velocity = Some(way / seconds);
+            self.fastest = self.fastest.max(translation.norm() / seconds);
+            self.velocity = Some(translation / seconds);
             self.spans += 1;
         }
         false

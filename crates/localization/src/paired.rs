@@ -35,7 +35,7 @@ impl Discordant {
                 cells.entry(cell).or_default().add(at_first, at_second);
             }
         }
-        let count = |speaks: fn(&Cell) -> bool| cells.values().filter(|cell| speaks(cell)).count() as u32;
+        let count = |counts: fn(&Cell) -> bool| cells.values().filter(|cell| counts(cell)).count() as u32;
         Self { at_first: count(Cell::is_for_first), at_second: count(Cell::is_for_second) }
     }
 
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cell_speaks_for_the_place_that_explains_it_where_the_map_contradicts_it_at_the_other() {
+    fn a_cell_counts_for_a_place_that_explains_it_if_the_map_contradicts_it_at_the_other() {
         assert_eq!(cell(&[(AtSolid, InFree); 3]), (true, false));
         assert_eq!(cell(&[(InFree, AtSolid), (InFree, AtSolid), (AtSolid, AtSolid)]), (false, true));
         assert_eq!(cell(&[(AtSolid, InFree), (AtSolid, AtSolid)]), (false, false), "half of it");
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn what_both_explain_says_nothing() {
+    fn cells_explained_by_both_places_do_not_count() {
         let deviations = |at_first, at_second| Discordant { at_first, at_second }.deviations();
         assert_eq!((deviations(0, 0), deviations(9, 0), deviations(0, 4)), (0.0, 3.0, -2.0));
         assert!((deviations(12, 4) - 2.0).abs() < 1e-12);

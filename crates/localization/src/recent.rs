@@ -72,9 +72,9 @@ impl<S> RecentScans<S> {
     /// Distance and rotation from the first kept scan to the last, metres and radians, along the kept scans.
     pub(crate) fn motion(&self) -> (f64, f64) {
         let steps = self.scans.iter().zip(self.scans.iter().skip(1));
-        steps.fold((0.0, 0.0), |(way, turn), (a, b)| {
+        steps.fold((0.0, 0.0), |(metres, turn), (a, b)| {
             let step = a.local_from_scan.inverse() * b.local_from_scan;
-            (way + step.translation.vector.norm(), turn + step.rotation.angle())
+            (metres + step.translation.vector.norm(), turn + step.rotation.angle())
         })
     }
 

@@ -20,7 +20,8 @@ use crate::known_map_2d::KnownMap2d;
 use crate::placed_scan::PlacedScan;
 use crate::recent::is_alike;
 use crate::settings::changes::{
-    AREA_CELL, AROUND_CHANGED, BESIDE_GONE, LEAST_NEW_AREA, MOST_ALONE, REPLACED_FRACTION, REPLACEMENT_2D,
+    AREA_CELL, AROUND_CHANGED, AROUND_REMOVED, LEAST_NEW_AREA, MAX_AREA_LOST, REPLACED_FRACTION,
+    REPLACEMENT_2D,
 };
 
 /// Changes of a map by a recording.
@@ -67,7 +68,8 @@ pub(crate) fn renew(graph: &mut PoseGraph<Space2d>, new: TrajectoryId, before: &
     let changes = changed_cells(graph, new, before);
     let all = shown(graph, new, before, &changes);
     let unknown = all.iter().map(|(id, shown)| (*id, &shown.unknown)).collect();
-    let mut kept = discovering(&unknown, (LEAST_NEW_AREA / (AREA_CELL * AREA_CELL)).ceil() as usize);
+    let mut kept =
+        submaps_with_new_cells(&unknown, (LEAST_NEW_AREA / (AREA_CELL * AREA_CELL)).ceil() as usize);
     let discovered: BTreeSet<Cell> =
         kept.iter().filter_map(|id| all.get(id)).flat_map(|shown| shown.unknown.iter().copied()).collect();
     let mut removed = replace(graph, new, &all, &changes, &mut kept);
@@ -102,7 +104,7 @@ fn draw_changes(
         None if around.contains(point) && !before.knows(point) => CellFate::Filled,
         None => CellFate::Stays,
     });
-    let beside_gone = changes.around(BESIDE_GONE, |kind| kind == ChangeKind::Gone);
+    let beside_gone = changes.around(AROUND_REMOVED, |kind| kind == ChangeKind::Gone);
     graph.forget_points(new, &|point| beside_gone.contains(point));
 }
 
@@ -154,7 +156,7 @@ fn shown(
 
 /// Greedily chooses the submaps that show at least `least_cells` cells unknown to the map: in each step the
 /// one that shows most cells that no chosen one shows yet.
-pub(crate) fn discovering<C: Ord + Copy>(
+pub(crate) fn submaps_with_new_cells<C: Ord + Copy>(
     all: &BTreeMap<SubmapId, &BTreeSet<C>>,
     least_cells: usize,
 ) -> BTreeSet<SubmapId> {
@@ -162,8 +164,8 @@ pub(crate) fn discovering<C: Ord + Copy>(
     let mut chosen = BTreeSet::new();
     loop {
         let rest = all.iter().filter(|(id, _)| !chosen.contains(*id));
-        let worth = rest.map(|(id, unknown)| (unknown.difference(&known).count(), Reverse(*id)));
-        let Some((cells, Reverse(best))) = worth.max() else { return chosen };
+        let gain = rest.map(|(id, unknown)| (unknown.difference(&known).count(), Reverse(*id)));
+        let Some((cells, Reverse(best))) = gain.max() else { return chosen };
         let Some(unknown) = all.get(&best).filter(|_| cells >= least_cells) else { return chosen };
         known.extend(unknown.iter().copied());
         chosen.insert(best);
@@ -207,7 +209,7 @@ fn replace(
         let is_covered = |old: &SubmapId| known.fraction_known_by(*old, id, &of_new) >= REPLACED_FRACTION;
         let covered: Vec<SubmapId> = outdated.iter().copied().filter(is_covered).collect();
         let gone: Vec<SubmapId> =
-            covered.into_iter().filter(|old| known.remove_unless_alone(*old, MOST_ALONE)).collect();
+            covered.into_iter().filter(|old| known.remove_unless_alone(*old, MAX_AREA_LOST)).collect();
         if gone.is_empty() {
             if is_added {
                 known.remove_unless_alone(id, f64::INFINITY);

@@ -14,7 +14,7 @@ use portolan_mapping::{PoseGraph, Space3d, SubmapEntry, SubmapId, TrajectoryId, 
 
 use crate::changes::{ChangeCounter, ChangeKind};
 use crate::known_map_3d::KnownMap3d;
-use crate::renewal::{Renewal, discovering};
+use crate::renewal::{Renewal, submaps_with_new_cells};
 use crate::settings::changes::{LEAST_NEW_CELLS, NEW_CELL, REPLACEMENT_3D};
 use crate::voxel_changes::{ChangedVoxels, KeptSweep, VoxelChanges};
 
@@ -37,7 +37,7 @@ pub(crate) fn renew(
 ) -> Renewal {
     let changes = changed_voxels(before, sweeps);
     let all = unknown(graph, new, before);
-    let kept = discovering(&all.iter().map(|(id, cells)| (*id, cells)).collect(), LEAST_NEW_CELLS);
+    let kept = submaps_with_new_cells(&all.iter().map(|(id, cells)| (*id, cells)).collect(), LEAST_NEW_CELLS);
     let discovered: BTreeSet<Cell> =
         kept.iter().filter_map(|id| all.get(id)).flat_map(|cells| cells.iter().copied()).collect();
     draw_changes(graph, new, &changes);

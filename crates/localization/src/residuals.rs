@@ -8,7 +8,7 @@ use portolan_geometry::{Point3f, Rigid3, Vector3, to_f32};
 use portolan_lidar_odometry::{Plane, PlaneMap};
 
 use crate::belief::{Matrix6, Vector6};
-use crate::information::{along_surface, outer, positive};
+use crate::information::{along_surface, distance_information, positive};
 use crate::settings::matching::{ERROR_PATCH, NORMAL_VARIANCE, RANGE_NOISE, ROBUST_REACH, ROBUST_SCALE};
 
 /// Contribution of points with a common error.
@@ -61,7 +61,7 @@ impl Residuals {
         let variance = RANGE_NOISE.powi(2) + plane.variance + plane.normal_variance * off.norm_squared();
         let weight = f64::from(robust * robust / variance);
         let (lever, normal): (Vector3, Vector3) = (lever.cast(), plane.normal.cast());
-        let (row, along_normal) = outer(&lever, &normal);
+        let (row, along_normal) = distance_information(&lever, &normal);
         let patch = [place.x, place.y, place.z].map(|v| (v / ERROR_PATCH).floor() as i32);
         let sum = self.patches.entry(patch).or_default();
         sum.score += weight * f64::from(residual) * row;
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn covariances_follow_what_patches_are_off_by() {
+    fn covariances_follow_the_errors_of_patches() {
         for sigma in [0.01, 0.02, 0.05] {
             let mean = normalised_error(sigma);
             assert!((3.5..8.0).contains(&mean), "{sigma} m: {mean} in place of 6");

@@ -18,30 +18,30 @@ struct Rival {
 
 impl Rival {
     /// Lead in fit of the accepted place.
-    fn behind(&self, believed: &Hypothesis) -> f64 {
-        believed.lead_of_newest(&self.place, self.since.unwrap_or(usize::MAX))
+    fn behind(&self, accepted: &Hypothesis) -> f64 {
+        accepted.lead_of_newest(&self.place, self.since.unwrap_or(usize::MAX))
     }
 
-    fn is_refuted(&self, believed: &Hypothesis) -> bool {
+    fn is_refuted(&self, accepted: &Hypothesis) -> bool {
         match self.since {
             Some(scans) => {
                 scans >= RIVAL_SCANS
-                    && believed.fit_of_newest(scans) >= BETTER_FIT
-                    && self.behind(believed) >= RIVAL_LEAD
+                    && accepted.fit_of_newest(scans) >= BETTER_FIT
+                    && self.behind(accepted) >= RIVAL_LEAD
             }
-            None => self.behind(believed) >= REFUTED_BY,
+            None => self.behind(accepted) >= REFUTED_BY,
         }
     }
 
-    fn raises_doubt(&self, believed: &Hypothesis) -> bool {
-        self.since.is_some() || self.behind(believed) < 0.0
+    fn is_uncertain(&self, accepted: &Hypothesis) -> bool {
+        self.since.is_some() || self.behind(accepted) < 0.0
     }
 
-    fn is_better(&self, believed: &Hypothesis) -> bool {
+    fn is_better(&self, accepted: &Hypothesis) -> bool {
         let scans = self.since.unwrap_or(usize::MAX);
         scans >= RIVAL_SCANS
             && self.place.fit() > BETTER_FIT
-            && self.place.lead_of_newest(believed, scans) > BETTER_BY
+            && self.place.lead_of_newest(accepted, scans) > BETTER_BY
     }
 }
 
@@ -67,29 +67,29 @@ impl Rivals {
     }
 
     /// Matches a scan that is kept, and drops hypotheses that it refutes.
-    pub fn look<M: KnownMap>(
+    pub fn match_scan<M: KnownMap>(
         &mut self,
         searcher: &Searcher<M>,
         scan: &M::Scan,
         oldest_left: bool,
-        believed: &Hypothesis,
+        accepted: &Hypothesis,
     ) {
-        searcher.look(self.0.iter_mut().map(|rival| &mut rival.place), scan);
+        searcher.match_scan(self.0.iter_mut().map(|rival| &mut rival.place), scan);
         for rival in &mut self.0 {
             rival.place.remember(oldest_left);
             rival.since = rival.since.map(|scans| scans + 1);
         }
-        self.0.retain(|rival| !rival.place.is_same_place(believed) && !rival.is_refuted(believed));
+        self.0.retain(|rival| !rival.place.is_same_place(accepted) && !rival.is_refuted(accepted));
     }
 
     /// Whether one of them makes the accepted place uncertain.
-    pub fn raise_doubt(&self, believed: &Hypothesis) -> bool {
-        self.0.iter().any(|rival| rival.raises_doubt(believed))
+    pub fn is_uncertain(&self, accepted: &Hypothesis) -> bool {
+        self.0.iter().any(|rival| rival.is_uncertain(accepted))
     }
 
     /// All of them, if one is better than the accepted place.
-    pub fn take_over(&self, believed: &Hypothesis) -> Option<Vec<Hypothesis>> {
-        let is_beaten = self.0.iter().any(|rival| rival.is_better(believed));
+    pub fn take_over(&self, accepted: &Hypothesis) -> Option<Vec<Hypothesis>> {
+        let is_beaten = self.0.iter().any(|rival| rival.is_better(accepted));
         is_beaten.then(|| self.0.iter().map(|rival| rival.place.clone()).collect())
     }
 }
@@ -106,7 +106,7 @@ mod tests {
         let left = test_place(0.0, &[0.9, 0.9, 0.9, 0.2, 0.2, 0.2]);
         rivals.0.push(Rival { place: left.clone(), since: Some(3) });
         let poor = test_place(1.2, &[0.9, 0.9, 0.9, 0.4, 0.4, 0.4]);
-        assert!(rivals.raise_doubt(&poor) && !rivals.0[0].is_refuted(&poor), "it leads, but does not fit");
+        assert!(rivals.is_uncertain(&poor) && !rivals.0[0].is_refuted(&poor), "it leads, but does not fit");
         let good = test_place(1.2, &[0.9, 0.9, 0.9, 0.8, 0.8, 0.8]);
         assert!(rivals.0[0].is_refuted(&good));
         let just_now = Rival { place: left, since: Some(2) };
@@ -114,11 +114,11 @@ mod tests {
     }
 
     #[test]
-    fn a_rival_that_fits_better_lately_raises_doubt_and_takes_over_once_it_does_in_all() {
-        let believed = test_place(0.0, &[0.8, 0.8, 0.8, 0.8, 0.5, 0.5, 0.5]);
+    fn a_rival_with_a_better_recent_fit_makes_uncertain_and_takes_over_with_a_better_total_fit() {
+        let accepted = test_place(0.0, &[0.8, 0.8, 0.8, 0.8, 0.5, 0.5, 0.5]);
         let entering = test_place(9.0, &[0.0, 0.0, 0.0, 0.2, 0.8, 0.8, 0.8]);
         let rivals = Rivals::of(vec![entering]);
-        assert!(rivals.raise_doubt(&believed) && rivals.take_over(&believed).is_none());
+        assert!(rivals.is_uncertain(&accepted) && rivals.take_over(&accepted).is_none());
         let worse = test_place(0.0, &[0.5, 0.5, 0.5, 0.5, 0.2, 0.2, 0.2]);
         let rivals = Rivals::of(vec![test_place(9.0, &[0.7; 7])]);
         assert_eq!(rivals.take_over(&worse).map(|places| places.len()), Some(1));

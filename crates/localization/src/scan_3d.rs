@@ -89,7 +89,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn floors_are_few_of_what_judges() {
+    fn most_judged_points_are_not_on_the_floor() {
         let floor = (-40..40)
             .flat_map(|x| (-40..40).map(move |y| Point3f::new(0.3 * x as f32, 0.3 * y as f32, -1.0)));
         let wall = (-40..40)

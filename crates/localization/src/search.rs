@@ -8,7 +8,7 @@ use crate::known_map::{Area, KnownMap};
 use crate::recent::RecentScans;
 use crate::settings::matching::WINDOW_SIGMAS;
 use crate::settings::search::{
-    BELIEVED_FIT, BELIEVED_SIGMAS, CONFIRMING_SEARCHES, FIRST_PAUSE, GIVEN_START_FIT, METRES_PER_RADIAN,
+    ACCEPTED_FIT, ACCEPTED_SIGMAS, CONFIRMING_SEARCHES, FIRST_PAUSE, GIVEN_START_FIT, METRES_PER_RADIAN,
     MOST_PLACES, MOVED_METRES, PAUSE_FACTOR, REFUTED_BY, STANDING_FIT, STANDING_PAUSE, TENTATIVE_FIT,
 };
 use crate::state::Reason;
@@ -42,9 +42,9 @@ impl GivenStart {
     /// Area where a scanner of unknown heading may be by now, at this pose in the local map: three standard
     /// deviations plus the distance travelled since.
     pub fn area(&self, local_from_scan: &Rigid3) -> Area {
-        let way = self.local_from_scan.translation.vector - local_from_scan.translation.vector;
+        let travelled = self.local_from_scan.translation.vector - local_from_scan.translation.vector;
         let centre = self.map_from_scan.translation.vector.xy();
-        Area { centre, metres: WINDOW_SIGMAS * self.sigmas.0 + way.norm() }
+        Area { centre, metres: WINDOW_SIGMAS * self.sigmas.0 + travelled.norm() }
     }
 
     /// Agreement of the start with a place, 0 to 1.
@@ -52,9 +52,9 @@ impl GivenStart {
         let map_from_local = place.belief.pose * local_from_scan.inverse();
         let start = map_from_local * self.local_from_scan;
         // Users read starts off a picture, which shows no heights.
-        let (start, told) = (project_2d(&start), project_2d(&self.map_from_scan));
-        let metres = (start.translation - told.translation).norm() / self.sigmas.0;
-        let radians = normalize_angle(start.angle - told.angle).abs() / self.sigmas.1;
+        let (start, given) = (project_2d(&start), project_2d(&self.map_from_scan));
+        let metres = (start.translation - given.translation).norm() / self.sigmas.0;
+        let radians = normalize_angle(start.angle - given.angle).abs() / self.sigmas.1;
         // Three standard deviations are as good as one: users round.
         let beyond = (metres.hypot(radians) - WINDOW_SIGMAS).max(0.0);
         (-0.5 * beyond * beyond).exp()
@@ -86,7 +86,7 @@ pub(crate) enum Decision {
     /// This place is the most likely.
     Tentative(usize, Reason),
     /// This place is accepted.
-    Believed(usize),
+    Accepted(usize),
 }
 
 /// Places where the scanner may be.
@@ -96,7 +96,7 @@ pub(crate) struct Places {
     pub last_search: Option<Time>,
     searches: u32,
     /// Reason why the best place was not accepted at the last search.
-    doubt: Option<Reason>,
+    tentative_reason: Option<Reason>,
     /// Whether a scan was kept since the last search.
     is_new: bool,
 }
@@ -134,9 +134,9 @@ impl<M: KnownMap> Searcher<M> {
     }
 
     /// Matches a scan at all places.
-    pub fn look<'a>(&self, places: impl Iterator<Item = &'a mut Hypothesis>, scan: &M::Scan) {
+    pub fn match_scan<'a>(&self, places: impl Iterator<Item = &'a mut Hypothesis>, scan: &M::Scan) {
         let places: Vec<&mut Hypothesis> = places.collect();
-        self.pool.install(|| places.into_par_iter().for_each(|place| place.look(&self.map, scan)));
+        self.pool.install(|| places.into_par_iter().for_each(|place| place.match_scan(&self.map, scan)));
     }
 }
 
@@ -190,7 +190,7 @@ impl Places {
     /// else fits.
     pub fn decide(&mut self, judge: &Judge, was_searched: bool) -> Decision {
         let rated =
-            self.all.iter().enumerate().map(|(i, place)| (i, place, place.fit() + judge.bonus(place)));
+            self.all.iter().enumerate().map(|(i, place)| (i, place, place.fit() + judge.start_bonus(place)));
         let best = rated.max_by(|(i, _, a), (j, _, b)| a.total_cmp(b).then(j.cmp(i)));
         let Some((best, place, _)) = best else { return Decision::Nothing };
         if place.fit() < TENTATIVE_FIT {
@@ -198,11 +198,11 @@ impl Places {
         }
         if was_searched {
             let mut others = self.all.iter().filter(|other| !other.is_same_place(place));
-            let (way, turn) = judge.motion;
-            let moved = ((way + METRES_PER_RADIAN * turn) / MOVED_METRES).min(1.0);
-            let fits = place.fit().min(place.fit_lately() + judge.bonus(place))
-                >= BELIEVED_FIT + STANDING_FIT * (1.0 - moved);
-            self.doubt = if !others.all(|other| judge.speaks_for(place, other)) {
+            let (travelled, turn) = judge.motion;
+            let moved = ((travelled + METRES_PER_RADIAN * turn) / MOVED_METRES).min(1.0);
+            let fits = place.fit().min(place.fit_lately() + judge.start_bonus(place))
+                >= ACCEPTED_FIT + STANDING_FIT * (1.0 - moved);
+            self.tentative_reason = if !others.all(|other| judge.is_preferred(place, other)) {
                 Some(Reason::SeveralPlacesFit)
             } else if self.searches < CONFIRMING_SEARCHES || !fits {
                 Some(Reason::TooLittleSeen)
@@ -210,9 +210,9 @@ impl Places {
                 None
             };
         }
-        match self.doubt {
-            None if was_searched => Decision::Believed(best),
-            doubt => Decision::Tentative(best, doubt.unwrap_or(Reason::TooLittleSeen)),
+        match self.tentative_reason {
+            None if was_searched => Decision::Accepted(best),
+            tentative_reason => Decision::Tentative(best, tentative_reason.unwrap_or(Reason::TooLittleSeen)),
         }
     }
 }
@@ -222,21 +222,21 @@ pub(crate) struct Judge<'a> {
     /// Distance and rotation over which scans were kept, metres and radians.
     pub motion: (f64, f64),
     /// Agreement of a place with the given start or satellite fix, 0 to 1.
-    pub told: &'a dyn Fn(&Hypothesis) -> f64,
+    pub agreement_with_start: &'a dyn Fn(&Hypothesis) -> f64,
     /// Evidence for the first of two places from the scans, in standard deviations.
     pub evidence: &'a dyn Fn(&Hypothesis, &Hypothesis) -> f64,
 }
 
 impl Judge<'_> {
-    fn bonus(&self, place: &Hypothesis) -> f64 {
-        GIVEN_START_FIT * (self.told)(place)
+    fn start_bonus(&self, place: &Hypothesis) -> f64 {
+        GIVEN_START_FIT * (self.agreement_with_start)(place)
     }
 
     /// Whether one place is preferred to another one with enough evidence. Full agreement with the given
     /// start counts as much as all the evidence required from scans.
-    fn speaks_for(&self, place: &Hypothesis, other: &Hypothesis) -> bool {
-        let told = (self.told)(place) - (self.told)(other);
-        (self.evidence)(place, other) + BELIEVED_SIGMAS * told >= BELIEVED_SIGMAS
+    fn is_preferred(&self, place: &Hypothesis, other: &Hypothesis) -> bool {
+        let agreement_with_start = (self.agreement_with_start)(place) - (self.agreement_with_start)(other);
+        (self.evidence)(place, other) + ACCEPTED_SIGMAS * agreement_with_start >= ACCEPTED_SIGMAS
     }
 }
 
@@ -259,31 +259,39 @@ mod tests {
         assert_eq!(places.due(at(3.8), false, 1.0), Due::Repetition, "a scanner that stands");
     }
 
-    fn decide(fits: &[f32], other: &[f32], told: f64, deviations: f64) -> Decision {
+    fn decide(fits: &[f32], other: &[f32], agreement_with_start: f64, deviations: f64) -> Decision {
         let all = vec![test_place(0.0, fits), test_place(9.0, other)];
         let mut places = Places::of_complete_search(all);
         places.prune();
-        let told = |place: &Hypothesis| if place.is_at(&Rigid3::identity()) { told } else { 0.0 };
-        places.decide(&Judge { motion: (4.0, 0.0), told: &told, evidence: &|_, _| deviations }, true)
+        let agreement_with_start =
+            |place: &Hypothesis| if place.is_at(&Rigid3::identity()) { agreement_with_start } else { 0.0 };
+        places.decide(
+            &Judge {
+                motion: (4.0, 0.0),
+                agreement_with_start: &agreement_with_start,
+                evidence: &|_, _| deviations,
+            },
+            true,
+        )
     }
 
     #[test]
-    fn a_place_is_not_believed_while_what_was_seen_hardly_speaks_for_it() {
-        let doubtful = Decision::Tentative(0, Reason::SeveralPlacesFit);
-        assert_eq!(decide(&[0.8; 12], &[0.7; 12], 0.0, BELIEVED_SIGMAS), Decision::Believed(0));
-        assert_eq!(decide(&[0.8; 12], &[0.7; 12], 0.0, 0.8 * BELIEVED_SIGMAS), doubtful);
+    fn a_place_is_not_accepted_on_little_evidence() {
+        let tentative = Decision::Tentative(0, Reason::SeveralPlacesFit);
+        assert_eq!(decide(&[0.8; 12], &[0.7; 12], 0.0, ACCEPTED_SIGMAS), Decision::Accepted(0));
+        assert_eq!(decide(&[0.8; 12], &[0.7; 12], 0.0, 0.8 * ACCEPTED_SIGMAS), tentative);
         assert_eq!(
-            decide(&[0.8; 12], &[0.7; 12], 0.5, 0.8 * BELIEVED_SIGMAS),
-            Decision::Believed(0),
+            decide(&[0.8; 12], &[0.7; 12], 0.5, 0.8 * ACCEPTED_SIGMAS),
+            Decision::Accepted(0),
             "and told"
         );
-        assert_eq!(decide(&[0.8; 12], &[0.2; 12], 0.0, 0.0), Decision::Believed(0), "the other is refuted");
+        assert_eq!(decide(&[0.8; 12], &[0.2; 12], 0.0, 0.0), Decision::Accepted(0), "the other is refuted");
         let mut left = [0.8; 12];
         left[9..].fill(0.3);
-        let seen_little = Decision::Tentative(0, Reason::TooLittleSeen);
+        let too_little_seen = Decision::Tentative(0, Reason::TooLittleSeen);
         assert_eq!(
-            decide(&left, &[0.2; 12], 0.0, BELIEVED_SIGMAS),
-            seen_little,
+            decide(&left, &[0.2; 12], 0.0, ACCEPTED_SIGMAS),
+            too_little_seen,
             "the scanner leaves what is known"
         );
     }

@@ -4,8 +4,8 @@
 use portolan_geometry::{Duration, Time};
 
 use crate::settings::evidence::{
-    DOUBTED_BEFORE_DOUBT, DOUBTED_BEFORE_LOSS, LEAST_TRUSTED_METRES, MOST_TRUSTED_CONTRADICTED,
-    MOST_TRUSTED_STEP,
+    LEAST_TRUSTED_METRES, MOST_TRUSTED_CONTRADICTED, MOST_TRUSTED_STEP, UNTRUSTED_BEFORE_LOSS,
+    UNTRUSTED_BEFORE_UNCERTAIN,
 };
 use crate::state::{Estimate, Reason, State};
 
@@ -15,7 +15,7 @@ enum End {
     /// There was no sign that its end was wrong.
     Undisputed,
     /// Scans within this time before its end are not trusted, seconds.
-    Doubted(f64),
+    Untrusted(f64),
     /// The whole run is rejected.
     Refuted,
 }
@@ -46,16 +46,16 @@ fn is_jump(a: &Estimate, b: &Estimate) -> bool {
 
 /// Reason why a run ended, from the scans after it.
 fn end_of(after: &[Estimate]) -> End {
-    let Some(doubt) = after.first() else { return End::Undisputed };
-    let next = after.iter().find(|e| e.state != State::Uncertain).unwrap_or(doubt);
+    let Some(first_after) = after.first() else { return End::Undisputed };
+    let next = after.iter().find(|e| e.state != State::Uncertain).unwrap_or(first_after);
     match (next.state, next.reason) {
         (State::Lost, Reason::AnotherPlaceFitsBetter) => End::Refuted,
         (State::Lost, Reason::OutsideTheMap | Reason::PlaceHidden) => End::Undisputed,
-        (State::Lost, _) => End::Doubted(DOUBTED_BEFORE_LOSS),
+        (State::Lost, _) => End::Untrusted(UNTRUSTED_BEFORE_LOSS),
         // The place jumped.
-        _ if doubt.state == State::Localised => End::Doubted(DOUBTED_BEFORE_LOSS),
-        _ if matches!(doubt.reason, Reason::OutsideTheMap | Reason::PlaceHidden) => End::Undisputed,
-        _ => End::Doubted(DOUBTED_BEFORE_DOUBT),
+        _ if first_after.state == State::Localised => End::Untrusted(UNTRUSTED_BEFORE_LOSS),
+        _ if matches!(first_after.reason, Reason::OutsideTheMap | Reason::PlaceHidden) => End::Undisputed,
+        _ => End::Untrusted(UNTRUSTED_BEFORE_UNCERTAIN),
     }
 }
 
@@ -64,7 +64,7 @@ fn trusted(run: &[Estimate], end: End) -> Option<(Time, Time)> {
     let last = run.last()?.time;
     let kept: &[Estimate] = match end {
         End::Undisputed => run,
-        End::Doubted(seconds) => {
+        End::Untrusted(seconds) => {
             let until = last - Duration::from_seconds(seconds);
             run.get(..run.partition_point(|e| e.time < until)).unwrap_or_default()
         }
@@ -72,10 +72,10 @@ fn trusted(run: &[Estimate], end: End) -> Option<(Time, Time)> {
     };
     let places = || kept.iter().filter_map(|e| e.place.as_ref());
     let positions = || places().map(|place| place.map_from_tracking.translation.vector);
-    let way: f64 = positions().zip(positions().skip(1)).map(|(a, b)| (b - a).norm()).sum();
+    let travelled: f64 = positions().zip(positions().skip(1)).map(|(a, b)| (b - a).norm()).sum();
     let contradiction = places().map(|place| f64::from(place.agreement.contradiction())).sum::<f64>();
-    let is_trusted =
-        way >= LEAST_TRUSTED_METRES && contradiction <= MOST_TRUSTED_CONTRADICTED * places().count() as f64;
+    let is_trusted = travelled >= LEAST_TRUSTED_METRES
+        && contradiction <= MOST_TRUSTED_CONTRADICTED * places().count() as f64;
     is_trusted.then_some((kept.first()?.time, kept.last()?.time))
 }
 
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_doubted_soon_after_is_not_believed() {
+    fn scans_before_a_contradiction_are_not_trusted() {
         let run = "l".repeat(30);
         assert_eq!(spans(&run), [(0.0, 29.0)]);
         assert_eq!(spans(&format!("uu{run}o")), [(2.0, 31.0)]);

@@ -20,7 +20,8 @@ use crate::occupancy::{Occupancy, around};
 use crate::placed_scan::PlacedScan;
 use crate::settings::changes::{
     BEAM_STEP, CHANGE_RANGE_3D, CHANGING_FRACTION, CHANGING_SCANS, COUNTED_VOXEL, KEPT_BEAM,
-    KEPT_SWEEP_METRES, KEPT_VOXEL, LEAST_CHANGED_CELLS, LEAST_CHANGED_COLUMNS, STEEP_SINE, VIEWPOINTS,
+    KEPT_SWEEP_METRES, KEPT_VOXEL, LEAST_CHANGED_CELLS, LEAST_CHANGED_COLUMNS, STEEP_SINE,
+    VIEWPOINT_DISTANCE,
 };
 use crate::settings::maps::{FREE_BEAM_CLEARANCE, OCCUPANCY_CELL};
 use crate::settings::scans::NEW_VIEW_RADIANS;
@@ -61,8 +62,8 @@ impl KeptSweep {
 
     /// Whether another scan at this pose would show the same view.
     pub(crate) fn is_like(&self, map_from_tracking: &Rigid3) -> bool {
-        let way = self.map_from_tracking.translation.vector - map_from_tracking.translation.vector;
-        way.norm() < KEPT_SWEEP_METRES
+        let motion = self.map_from_tracking.translation.vector - map_from_tracking.translation.vector;
+        motion.norm() < KEPT_SWEEP_METRES
             && self.map_from_tracking.rotation.angle_to(&map_from_tracking.rotation) < NEW_VIEW_RADIANS
     }
 
@@ -151,12 +152,12 @@ impl Voxel {
         Self { kind, hits: 0, passes: 0, seen: None }
     }
 
-    fn note_sighting(&mut self, scan: &PlacedScan) {
+    fn record_observation(&mut self, scan: &PlacedScan) {
         let new =
             VoxelSightings { first: scan.time, last: scan.time, from: scan.origin, is_seen_from_two: false };
         let seen = self.seen.get_or_insert(new);
         seen.last = scan.time;
-        seen.is_seen_from_two |= (scan.origin - seen.from).norm() >= VIEWPOINTS;
+        seen.is_seen_from_two |= (scan.origin - seen.from).norm() >= VIEWPOINT_DISTANCE;
     }
 
     fn contradictions(&self) -> u16 {
@@ -214,7 +215,7 @@ impl VoxelChanges {
     }
 
     /// Converts a region for the report: its outlines from above, and its heights.
-    fn told(&self, kind: ChangeKind, cells: &BTreeSet<VoxelIndex>) -> Vec<Change> {
+    fn change_of(&self, kind: ChangeKind, cells: &BTreeSet<VoxelIndex>) -> Vec<Change> {
         let from_to = |of: fn(&VoxelIndex) -> i32| {
             let along = || cells.iter().map(of);
             (along().min().unwrap_or(0), along().max().unwrap_or(0))
@@ -251,10 +252,10 @@ impl VoxelChanges {
         for cell in ends.iter().filter(|cell| map.is_open(*cell)) {
             let voxel = self.voxels.entry(cell).or_insert(Voxel::new(ChangeKind::Appeared));
             voxel.hits = voxel.hits.saturating_add(1);
-            voxel.note_sighting(scan);
+            voxel.record_observation(scan);
         }
         // A point near a cell that was solid counts as a hit of this cell.
-        let beside = ends.with_two_around();
+        let beside = ends.dilated_by_two();
         for cell in beside.iter().filter(|cell| map.occupancy.is_solid(*cell)) {
             let voxel = self.voxels.entry(cell).or_insert(Voxel::new(ChangeKind::Gone));
             voxel.hits = voxel.hits.saturating_add(1);
@@ -310,13 +311,13 @@ impl ChangeCounter for VoxelChanges {
             let voxel = self.voxels.entry(cell).or_insert(Voxel::new(kind));
             voxel.passes = voxel.passes.saturating_add(1);
             if kind == ChangeKind::Gone {
-                voxel.note_sighting(scan);
+                voxel.record_observation(scan);
             }
         }
     }
 
     fn changes(&self) -> Vec<Change> {
-        self.regions().iter().flat_map(|(kind, cells)| self.told(*kind, cells)).collect()
+        self.regions().iter().flat_map(|(kind, cells)| self.change_of(*kind, cells)).collect()
     }
 }
 

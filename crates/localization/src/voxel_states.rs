@@ -115,7 +115,7 @@ mod tests {
     use std::collections::BTreeMap;
 
     #[test]
-    fn what_is_known_first_stays() {
+    fn the_first_state_of_a_voxel_stays() {
         let (mut states, mut known) = (VoxelStates::new(), BTreeMap::new());
         for i in 0..4000_i32 {
             let cell = [i * 7919 % 37 - 18, i * 104_729 % 23 - 11, i * 31 % 29 - 14];
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_that_cannot_be_have_no_state() {
+    fn cells_beyond_the_index_range_have_no_state() {
         let mut states = VoxelStates::new();
         for far in [MAX_VOXEL_INDEX, -MAX_VOXEL_INDEX - 1, i32::MIN, i32::MAX] {
             states.learn([0, far, 0], VoxelState::Solid);

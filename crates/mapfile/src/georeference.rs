@@ -133,7 +133,7 @@ impl Georeference {
 
     /// Sets the fixed frame for one more trajectory of the map, so that the map stays georeferenced when
     /// other trajectories are removed.
-    pub fn hand_on<S: Space>(&self, map: &mut Map<S>, id: TrajectoryId) {
+    pub fn apply_to<S: Space>(&self, map: &mut Map<S>, id: TrajectoryId) {
         if let Some(ended) = map.trajectories.get_mut(&id) {
             ended.fixed_frame_on_earth = Some(self.origin);
             map.graph.set_fixed_frame_origin(id, self.map_from_fixed);

@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_alike_takes_little() {
+    fn uniform_textures_take_little_space() {
         let pixels = (0..1 << 20).map(|i| if i % 1024 < 400 { [0, 0] } else { [63, 0] }).collect();
         let texture = SubmapTexture {
             pixels,

@@ -123,7 +123,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn descriptions_that_were_changed_are_known() {
+    fn changed_descriptions_are_recognised() {
         let text = ros_map_yaml("maps/house.pgm", 0.05, [-1.0, 2.0]);
         assert!(is_ros_map_yaml_of(&text, Path::new("elsewhere/house.pgm")));
         assert!(!is_ros_map_yaml_of(&text, Path::new("hall.pgm")));

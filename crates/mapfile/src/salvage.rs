@@ -16,7 +16,7 @@ const MIN_RECORD: u64 = 18;
 const PIECE: usize = 1 << 20;
 /// Maximum number of bytes that the search unpacks in vain, in multiples of the length of the file. It bounds
 /// the time for a file made to keep the search busy.
-const MAX_VAIN_WORK: u64 = 16;
+const MAX_WASTED_WORK: u64 = 16;
 
 /// Reads records like a normal reader, but continues after damage with the next intact record.
 pub(crate) struct Salvage {
@@ -25,7 +25,7 @@ pub(crate) struct Salvage {
     position: u64,
     index: u64,
     limits: ReadLimits,
-    vain_work: u64,
+    wasted_work: u64,
     /// Number of records, or of runs of bytes, that could not be used.
     pub damaged: u64,
     /// Number of bytes in them.
@@ -45,7 +45,7 @@ impl Salvage {
             position: 8,
             index: 0,
             limits,
-            vain_work: 0,
+            wasted_work: 0,
             damaged: 0,
             lost_bytes: 0,
         })
@@ -87,7 +87,7 @@ impl Salvage {
                 Ok(Some(message))
             }
             Err(_) => {
-                self.vain_work = self.vain_work.saturating_add(size);
+                self.wasted_work = self.wasted_work.saturating_add(size);
                 Ok(None)
             }
         }
@@ -107,7 +107,7 @@ impl Salvage {
     /// The start of the next intact record at or after `from`, or the end of the file.
     fn search(&mut self, from: u64) -> io::Result<u64> {
         let mut from = from;
-        while from < self.length && self.vain_work / MAX_VAIN_WORK <= self.length {
+        while from < self.length && self.wasted_work / MAX_WASTED_WORK <= self.length {
             self.file.seek(SeekFrom::Start(from))?;
             let mut piece = Vec::new();
             self.file.by_ref().take((PIECE + 10) as u64).read_to_end(&mut piece)?;
@@ -120,7 +120,7 @@ impl Salvage {
                     (self.index, self.position) = (index, position);
                     return Ok(offset);
                 }
-                if self.vain_work / MAX_VAIN_WORK > self.length {
+                if self.wasted_work / MAX_WASTED_WORK > self.length {
                     return Ok(self.length);
                 }
             }

@@ -52,7 +52,7 @@ pub enum TextureError {
     #[error("the grid's {0} is not a positive finite number")]
     Bounds(&'static str),
     /// The box of known cells is not within the grid.
-    #[error("the box of known cells does not lie in the grid")]
+    #[error("the box of known cells is not inside the grid")]
     KnownCellsBox,
     /// A code outside of 0 to 65535 (the highest bit is a marker that files should not have).
     #[error("the grid has the cell value {0}, which is outside of 0 to 32767")]

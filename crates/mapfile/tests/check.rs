@@ -190,7 +190,7 @@ fn many_findings_are_counted() {
 }
 
 #[test]
-fn what_is_lost_is_made_anew() {
+fn lost_parts_are_recomputed() {
     let folder = tempfile::tempdir().unwrap();
     let (path, repaired) = (folder.path().join("map.pbstream"), folder.path().join("repaired.pbstream"));
     SmallMap::new(false).write(&path);

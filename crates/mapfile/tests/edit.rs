@@ -170,7 +170,7 @@ fn known_in(area: &MapArea, path: &Path) -> usize {
 }
 
 #[test]
-fn what_is_taken_out_by_area_is_not_seen_any_more() {
+fn areas_taken_out_are_not_drawn() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out.pbstream");
     for (name, area) in [
@@ -191,7 +191,7 @@ fn what_is_taken_out_by_area_is_not_seen_any_more() {
 }
 
 #[test]
-fn what_cannot_be_cut_moved_or_optimised_is_refused() {
+fn maps_that_cannot_be_cut_moved_or_optimised_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let (path, out) = (folder.path().join("small.pbstream"), folder.path().join("out.pbstream"));
     let changed = |change: fn(&mut SmallMap)| {
@@ -371,7 +371,7 @@ fn walls_of_a_turned_map_turn_with_it() {
 }
 
 #[test]
-fn poses_go_out_and_come_back() {
+fn poses_are_exported_and_imported() {
     for name in ["small_2d", "small_3d"] {
         let Some(path) = real_data(&format!("maps/reference/{name}.pbstream")) else { return };
         let mut map = draft(&path);

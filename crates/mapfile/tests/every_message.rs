@@ -9,7 +9,7 @@ use crate::common;
 
 use std::collections::BTreeMap;
 
-use any_message::{Luck, Schema, put_bytes, put_varint};
+use any_message::{RandomBytes, Schema, put_bytes, put_varint};
 use common::small_map::SmallMap;
 use portolan_mapfile::MapDraft;
 use portolan_pbstream::proto::{
@@ -148,19 +148,19 @@ proptest! {
     fn every_message_comes_back_byte_for_byte(seed in any::<u64>()) {
         let (schema, types) = (Schema::load(), types());
         for (i, (name, again)) in types.iter().enumerate() {
-            let bytes = schema.any(name, &mut Luck::new(seed.wrapping_add(i as u64)));
+            let bytes = schema.any(name, &mut RandomBytes::new(seed.wrapping_add(i as u64)));
             prop_assert_eq!(again(&bytes), bytes, "{}", name);
         }
     }
 
     #[test]
-    fn every_message_of_a_map_survives_a_file_with_what_is_unknown(seed in any::<u64>(), number in 100u32..5000) {
-        let (schema, mut luck) = (Schema::load(), Luck::new(seed));
+    fn every_message_of_a_map_survives_a_file_with_unknown_fields(seed in any::<u64>(), number in 100u32..5000) {
+        let (schema, mut random) = (Schema::load(), RandomBytes::new(seed));
         let messages: Vec<Vec<u8>> = CONTENTS
             .iter()
             .enumerate()
             .map(|(i, name)| {
-                let mut content = schema.any(&format!("cartographer.mapping.proto.{name}"), &mut luck);
+                let mut content = schema.any(&format!("cartographer.mapping.proto.{name}"), &mut random);
                 put_bytes(&mut content, number, b"within");
                 let mut message = Vec::new();
                 put_bytes(&mut message, i as u32 + 1, &content);
@@ -198,7 +198,7 @@ const CONTENTS: [&str; 9] = [
 ];
 
 #[test]
-fn editing_keeps_what_is_unknown_in_what_it_copies() {
+fn editing_keeps_unknown_fields() {
     let folder = tempfile::tempdir().unwrap();
     let (path, edited) = (folder.path().join("map.pbstream"), folder.path().join("edited.pbstream"));
     SmallMap::new(false).write(&path);

@@ -104,7 +104,7 @@ fn unknown_fields_survive() {
 }
 
 #[test]
-fn what_cannot_be_migrated_is_told() {
+fn parts_that_cannot_be_migrated_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let (old, new) = (folder.path().join("old.pbstream"), folder.path().join("new.pbstream"));
     let mut map = old_3d_map();

@@ -219,7 +219,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn round_trip_does_not_depend_on_what_came_before(
+        fn round_trip_does_not_depend_on_earlier_data(
             a in prop::collection::vec(0u8..4, 0..3000), b in prop::collection::vec(any::<u8>(), 0..3000)
         ) {
             let fresh = std::thread::scope(|s| s.spawn(|| gzip(&b)).join()).unwrap().unwrap();

@@ -171,7 +171,7 @@ mod tests {
         }
 
         #[test]
-        fn any_numbers_end(num_points in any::<i32>(), point_data in prop::collection::vec(prop_oneof![0..5, any::<i32>()], 0..60)) {
+        fn any_numbers_terminate(num_points in any::<i32>(), point_data in prop::collection::vec(prop_oneof![0..5, any::<i32>()], 0..60)) {
             let cloud = CompressedPointCloud { num_points, point_data };
             if let Ok(points) = decompress(&cloud) {
                 prop_assert!(points.len() <= cloud.point_data.len());

@@ -200,7 +200,7 @@ pub(crate) struct Records<T> {
     workers: OrderedWorkers<Vec<Frame>, Vec<Ahead<T>>>,
     ready: VecDeque<Ahead<T>>,
     /// Compressed sizes of the batches in flight, bytes.
-    under_way: VecDeque<usize>,
+    in_flight: VecDeque<usize>,
     /// The end of the file, or an error, after all batches in flight.
     end: Option<Result<(), PbstreamError>>,
 }
@@ -221,7 +221,7 @@ impl<T: Send + 'static> Records<T> {
             max_batches: (2 * rayon::current_num_threads()).clamp(2, MAX_BATCHES),
             workers: OrderedWorkers::new(work),
             ready: VecDeque::new(),
-            under_way: VecDeque::new(),
+            in_flight: VecDeque::new(),
             end: None,
         }
     }
@@ -237,7 +237,7 @@ impl<T: Send + 'static> Records<T> {
                 };
             }
             self.read_ahead();
-            self.under_way.pop_front();
+            self.in_flight.pop_front();
             match self.workers.pop() {
                 Some(batch) => self.ready = batch.into(),
                 // The error is reported once; the next call returns the end.
@@ -262,7 +262,7 @@ impl<T: Send + 'static> Records<T> {
     fn read_ahead(&mut self) {
         while self.end.is_none()
             && self.workers.len() < self.max_batches
-            && self.under_way.iter().sum::<usize>() < MAX_AHEAD_BYTES
+            && self.in_flight.iter().sum::<usize>() < MAX_AHEAD_BYTES
         {
             let mut batch = Vec::new();
             let mut bytes = 0;
@@ -277,7 +277,7 @@ impl<T: Send + 'static> Records<T> {
                 }
             }
             if !batch.is_empty() {
-                self.under_way.push_back(bytes);
+                self.in_flight.push_back(bytes);
                 self.workers.push(batch);
             }
         }

@@ -36,7 +36,7 @@ pub struct PbstreamWriter {
     batch: Batch,
     workers: OrderedWorkers<Batch, io::Result<Vec<u8>>>,
     /// Sizes of the batches in flight, bytes.
-    under_way: VecDeque<usize>,
+    in_flight: VecDeque<usize>,
     messages: u64,
 }
 
@@ -98,7 +98,7 @@ impl PbstreamWriter {
             path,
             batch: Batch::default(),
             workers: OrderedWorkers::new(pack),
-            under_way: VecDeque::new(),
+            in_flight: VecDeque::new(),
             messages: 0,
         })
     }
@@ -170,7 +170,7 @@ impl PbstreamWriter {
             return Ok(());
         }
         self.hand_in();
-        while self.workers.len() > MAX_BATCHES || self.under_way.iter().sum::<usize>() > MAX_WAITING_BYTES {
+        while self.workers.len() > MAX_BATCHES || self.in_flight.iter().sum::<usize>() > MAX_WAITING_BYTES {
             self.write_oldest()?;
         }
         Ok(())
@@ -178,13 +178,13 @@ impl PbstreamWriter {
 
     fn hand_in(&mut self) {
         if !self.batch.items.is_empty() {
-            self.under_way.push_back(self.batch.bytes);
+            self.in_flight.push_back(self.batch.bytes);
             self.workers.push(std::mem::take(&mut self.batch));
         }
     }
 
     fn write_oldest(&mut self) -> Result<(), PbstreamError> {
-        self.under_way.pop_front();
+        self.in_flight.pop_front();
         let Some(packed) = self.workers.pop() else { return Ok(()) };
         packed
             .and_then(|bytes| self.output.writer().write_all(&bytes))

@@ -175,7 +175,7 @@ fn a_map_begins_with_three_messages() {
 }
 
 #[test]
-fn what_is_unknown_is_counted_and_survives() {
+fn unknown_messages_are_counted_and_survive() {
     let mut messages = start(2);
     let unknown = vec![0xa2, 6, 3, 1, 2, 3];
     messages.extend([unknown.clone(), vec![], messages[1].clone(), messages[2].clone()]);
@@ -214,11 +214,11 @@ fn the_number_of_threads_does_not_change_the_bytes() {
 }
 
 #[test]
-fn lying_sizes_are_errors_before_anything_is_reserved() {
+fn wrong_sizes_are_errors_before_memory_is_reserved() {
     let good = written(start(2));
-    for lie in [u64::MAX, 1 << 40, good.len() as u64] {
+    for wrong_size in [u64::MAX, 1 << 40, good.len() as u64] {
         let mut bad = good.clone();
-        bad.extend_from_slice(&lie.to_le_bytes());
+        bad.extend_from_slice(&wrong_size.to_le_bytes());
         bad.extend_from_slice(&[0; 7]);
         for length in [Some(bad.len() as u64), None] {
             let source = Cursor::new(bad.clone());
@@ -277,7 +277,7 @@ fn sample() -> (Vec<Vec<u8>>, Vec<u8>) {
 
 proptest! {
     #[test]
-    fn truncation_is_told_unless_it_is_between_records(at in any::<prop::sample::Index>()) {
+    fn truncation_is_an_error_unless_between_records(at in any::<prop::sample::Index>()) {
         let (messages, bytes) = sample();
         let cut = at.index(bytes.len());
         match reader(bytes[..cut].to_vec()) {

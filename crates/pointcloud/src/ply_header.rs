@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_header_is_told() {
+    fn invalid_headers_are_errors() {
         assert_eq!(read("ply\nend_header"), Err(PlyHeaderError::NoFormat));
         for line in ["property float x", "format text 1.0", "element vertex many", "nonsense"] {
             assert_eq!(read(line), Err(PlyHeaderError::Line(line.to_owned())));

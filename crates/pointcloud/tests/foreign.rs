@@ -76,7 +76,7 @@ fn pcd_of_other_programs() {
 }
 
 #[test]
-fn text_tells_its_columns_or_has_the_usual_ones() {
+fn text_has_named_columns_or_the_usual_ones() {
     for (text, position, intensity, color) in [
         ("1 2 3\n4 5 6\n", [1.0, 2.0, 3.0], None, None),
         ("2\n1 2 3 -7 10 20 30\n4 5 6 1 1 1 1\n", [1.0, 2.0, 3.0], Some(-7.0), Some([10, 20, 30])),
@@ -274,7 +274,7 @@ fn elements_that_are_promised_and_not_there_take_no_time() {
 
 #[cfg(unix)]
 #[test]
-fn what_is_read_forward_may_be_a_pipe() {
+fn formats_read_in_one_pass_may_be_pipes() {
     let folder = tempfile::tempdir().unwrap();
     let attributes = Attributes { intensity: true, time: true, color: true };
     let mut cloud = PointCloud::new(attributes);
@@ -311,7 +311,7 @@ fn what_is_read_forward_may_be_a_pipe() {
 }
 
 #[test]
-fn zeroed_blocks_of_a_compressed_cloud_are_told() {
+fn zeroed_blocks_of_a_compressed_cloud_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.laz");
     let mut cloud = PointCloud::new(Attributes::default());

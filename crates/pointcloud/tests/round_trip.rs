@@ -123,7 +123,7 @@ fn clouds_longer_than_a_batch_are_read_in_pieces() {
 }
 
 #[test]
-fn far_places_are_kept_and_what_is_no_number_is_left_out() {
+fn far_points_are_kept_and_points_that_are_not_finite_are_left_out() {
     let folder = tempfile::tempdir().unwrap();
     let mut cloud = PointCloud::single([4_000_000.0, 500_000.0, 300.0], Attributes::default());
     cloud.push([4_000_012.125, 500_001.5, 301.25], 0.0, 0.0, [0; 3]);
@@ -149,7 +149,7 @@ fn far_places_are_kept_and_what_is_no_number_is_left_out() {
 /// A full disk is an error that says so, and leaves nothing behind; nor does a cloud that is given up then.
 #[cfg(target_os = "linux")]
 #[test]
-fn full_disks_are_told() {
+fn full_disks_are_errors() {
     let folder = tempfile::tempdir().unwrap();
     let cloud = cloud(20_000, Attributes { intensity: true, time: true, color: true });
     for name in ["x.ply", "x.pcd", "x.xyz", "x.las", "x.laz", "x.e57"] {

@@ -16,13 +16,13 @@ impl<S: Space> MappedRecording<S> {
         let without_pose = self.scans_without_pose();
         let lines = self.losses.iter().zip(without_pose).take(NAMED).map(|(loss, without_pose)| {
             let outcome = if self.is_tied_by_odometry_alone(loss) {
-                "the trajectory after it lies where odometry says, and no scan confirms it"
+                "the trajectory after it is placed by odometry alone, and no scan confirms it"
             } else if loss.piece.is_none() {
                 "the trajectory ends there"
             } else if self.is_apart(loss) {
-                "the trajectory after it is not connected to the rest of the map, which overlaps it wrongly"
+                "the trajectory after it is not connected to the rest of the map, so that the two overlap at an arbitrary relative pose"
             } else {
-                "the trajectory after it was found again in the map"
+                "the trajectory after it was localised in the map again"
             };
             let [since, until] = [loss.since, loss.until].map(|t| recorded(t).seconds_since(start));
             let when = match until - since < 0.05 {
@@ -32,9 +32,9 @@ impl<S: Space> MappedRecording<S> {
             let what = match loss.is_gap {
                 true => format!("no usable scans {when}"),
                 false => match without_pose {
-                    0 => format!("lost {when}: scans did not fit the map any more"),
+                    0 => format!("lost {when}: scans no longer fit the map"),
                     n => format!(
-                        "lost {when}: scans did not fit the map any more, and {n} of them have no pose"
+                        "lost {when}: scans no longer fit the map, and {n} of them have no pose"
                     ),
                 },
             };
@@ -44,7 +44,7 @@ impl<S: Space> MappedRecording<S> {
         if self.losses.len() > NAMED {
             let apart = self.losses.iter().filter(|loss| self.is_apart(loss)).count();
             text += &format!(
-                "lost {} times in all, {apart} of them for good (see report.json)\n",
+                "lost {} times in all, {apart} of them without a connection to the map before (see report.json)\n",
                 self.losses.len()
             );
         }

@@ -218,10 +218,10 @@ pub fn prepare(
     let inventory = Inventory::of(recording, ingest)?;
     let mut plan = plan(&inventory, ingest).map_err(IngestError::from)?;
     if options.is_none() && plan.dimension == Dimension::TwoD {
-        plan = doubt_scans(recording, &inventory, ingest, plan)?;
+        plan = check_scans(recording, &inventory, ingest, plan)?;
     }
     if options.is_none() && plan.dimension == Dimension::ThreeD {
-        plan = doubt_imu_3d(recording, &inventory, ingest, plan)?;
+        plan = check_imu_3d(recording, &inventory, ingest, plan)?;
     }
     let options = options.unwrap_or_else(|| match plan.dimension {
         Dimension::TwoD => automatic::options_2d(&plan, &plan.statistics()),
@@ -243,7 +243,7 @@ pub fn prepare(
 /// Compares motions from scans with those of odometry and IMU. The plan then corrects the times of beams and
 /// the clocks of odometry and IMU, or leaves one of them out, if scans show that. What the user specified is
 /// kept.
-fn doubt_scans(
+fn check_scans(
     recording: &dyn Recording,
     inventory: &Inventory,
     ingest: &IngestOptions,
@@ -251,12 +251,12 @@ fn doubt_scans(
 ) -> Result<SensorPlan, PipelineError> {
     let compared = compare_scans(recording, inventory, &plan)?;
     if let Some(fault) = &compared.imu_fault {
-        plan = doubt_imu(fault, inventory, ingest, plan)?;
+        plan = warn_of_imu(fault, inventory, ingest, plan)?;
     } else if let Some(delay) = compared.imu_delay.filter(|_| ingest.time_offsets.is_empty()) {
         plan.delay_imu(delay.seconds, delay.sigma);
     }
     for (topics, jitter) in compared.jitters.iter().filter(|_| ingest.stamps != StampPolicy::AsIs) {
-        plan.doubt_stamps(topics, jitter);
+        plan.mark_jitter(topics, jitter);
     }
     if ingest.azimuth_times == AzimuthTimes::Auto {
         for (topic, duration) in &compared.durations {
@@ -270,10 +270,10 @@ fn doubt_scans(
     }
     let is_wanted = ingest.odometry_topic.is_some() || ingest.use_odometry == Some(true);
     if let Some(hold) = compared.hold {
-        plan.doubt_repeats(&hold.to_string(), hold.longest, is_wanted);
+        plan.reject_repeats(&hold.to_string(), hold.longest, is_wanted);
     }
     if let Some(fault) = compared.fault {
-        plan.doubt_odometry(&fault.to_string(), fault.is_mirrored(), is_wanted);
+        plan.reject_odometry(&fault.to_string(), fault.is_mirrored(), is_wanted);
     } else if let Some(delay) = compared.delay.filter(|_| ingest.time_offsets.is_empty()) {
         plan.delay_odometry(delay.seconds, delay.sigma);
     }
@@ -282,7 +282,7 @@ fn doubt_scans(
 
 /// Leaves out an IMU that does not rotate as the lidar does, unless the user asked for it. If only its unit
 /// is wrong, that is corrected.
-fn doubt_imu(
+fn warn_of_imu(
     fault: &ImuMounting,
     inventory: &Inventory,
     ingest: &IngestOptions,
@@ -298,13 +298,13 @@ fn doubt_imu(
         let without = IngestOptions { use_imu: Some(false), ..ingest.clone() };
         plan = portolan_ingest::plan(inventory, &without).map_err(IngestError::from)?;
     }
-    plan.doubt_imu(&fault.imu, &fault.to_string(), is_wanted);
+    plan.warn_of_imu(&fault.imu, &fault.to_string(), is_wanted);
     Ok(plan)
 }
 
 /// Compares rotations of a lidar with those of the IMU. The plan then corrects the clock and mounting of the
 /// IMU, or leaves the IMU out, if they show that. What the user specified is kept.
-fn doubt_imu_3d(
+fn check_imu_3d(
     recording: &dyn Recording,
     inventory: &Inventory,
     ingest: &IngestOptions,
@@ -323,7 +323,7 @@ fn doubt_imu_3d(
         plan.turn_imu(correction, &misalignment.to_string());
     }
     if let Some(mounting) = &compared.mounting {
-        plan = doubt_imu(mounting, inventory, ingest, plan)?;
+        plan = warn_of_imu(mounting, inventory, ingest, plan)?;
     } else if let Some(offset) =
         portolan_clocks::common_offset(&compared.offsets).filter(|_| ingest.time_offsets.is_empty())
     {

@@ -68,7 +68,7 @@ mod tests {
     use portolan_geometry::Duration;
 
     #[test]
-    fn only_what_stays_silent_is_told() {
+    fn only_sensors_that_stay_silent_are_reported() {
         let sensor = |name: &str, kind| SensorId { id: name.into(), kind };
         let mut silences = Silences::default();
         for i in 0..600 {
@@ -82,8 +82,8 @@ mod tests {
                 silences.add(&sensor("slow", SensorKind::Odometry), time);
             }
         }
-        let told = silences.issues();
-        assert_eq!(told.len(), 1, "{told:?}");
-        assert!(told[0].to_string().starts_with("right: falls silent 30.0 s before"), "{told:?}");
+        let issues = silences.issues();
+        assert_eq!(issues.len(), 1, "{issues:?}");
+        assert!(issues[0].to_string().starts_with("right: falls silent 30.0 s before"), "{issues:?}");
     }
 }

@@ -64,7 +64,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn poses_that_are_none_are_left_out() {
+    fn invalid_poses_are_left_out() {
         let at = |seconds: f64, x: f64| (Time::from_unix_seconds(seconds), Rigid3::translation(x, 0.0, 0.0));
         let mut long = at(3.0, 0.0);
         long.1.rotation = Quaternion::new_unchecked(nalgebra::Quaternion::new(2.0, 0.0, 0.0, 0.0));
@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn graphs_that_computations_left_broken_are_told() {
+    fn graphs_with_invalid_results_are_reported() {
         assert_eq!(wrong_with([(1.0, 0.0), (2.0, 0.5)]), []);
         assert_eq!(wrong_with([(1.0, 0.0), (2.0, f64::INFINITY)]), [IssueKind::GraphUnsound]);
         assert_eq!(wrong_with([(2.0, 0.0), (2.0, 0.5)]), [IssueKind::GraphOutOfOrder]);

@@ -202,7 +202,7 @@ pub fn whole_pose_graph_from(
 
 /// Message for a map whose poses are intact, while the data after them are damaged.
 pub fn damaged_behind_poses(damage: &str) -> String {
-    format!("damaged behind its poses, which are whole: {damage}")
+    format!("damaged after its poses, which are complete: {damage}")
 }
 
 /// One trajectory of a map.
@@ -263,7 +263,7 @@ fn nodes_of_pieces(
     if pieces.len() < 2 || !follow {
         return nodes(path, pose_graph, first);
     }
-    notes.push(format!("its {} trajectories follow one another and are taken together", pieces.len()));
+    notes.push(format!("its {} trajectories follow one another and are joined", pieces.len()));
     Ok(pieces.concat())
 }
 
@@ -305,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn text_formats_are_told_apart() {
+    fn text_formats_are_distinguished() {
         assert_eq!(text_format(b"# time x\n1 2 3 4 0 0 0 1\n"), TextFormat::Tum);
         assert_eq!(text_format(b"\n1 0 0 5 0 1 0 6 0 0 1 7\n"), TextFormat::Kitti);
         assert_eq!(text_format(b"# time,x,y\n1,2,3\n"), TextFormat::Csv);

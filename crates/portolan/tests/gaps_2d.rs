@@ -57,7 +57,7 @@ fn mapped(seconds: f64, scans: Scans, stalls: bool, folder: &Path) -> (serde_jso
 }
 
 #[test]
-fn what_follows_a_gap_is_tied_by_scans_whether_the_wheels_stalled_or_not() {
+fn a_part_after_a_gap_is_connected_by_scans_with_and_without_stalled_wheels() {
     for stalls in [false, true] {
         let folder = tempfile::tempdir().unwrap();
         let (report, error) = mapped(150.0, Scans::LeftOut, stalls, folder.path());
@@ -70,7 +70,7 @@ fn what_follows_a_gap_is_tied_by_scans_whether_the_wheels_stalled_or_not() {
 }
 
 #[test]
-fn scans_of_a_covered_scanner_lie_where_odometry_says_and_are_not_in_the_map() {
+fn scans_of_a_covered_scanner_are_placed_by_odometry_and_not_inserted() {
     let folder = tempfile::tempdir().unwrap();
     let (report, error) = mapped(60.0, Scans::Covered, false, folder.path());
     let issues = report["issues"].as_array().unwrap();
@@ -85,7 +85,7 @@ fn scans_of_a_covered_scanner_lie_where_odometry_says_and_are_not_in_the_map() {
 }
 
 #[test]
-fn scans_without_a_return_lie_where_odometry_says() {
+fn scans_without_a_return_are_placed_by_odometry() {
     let folder = tempfile::tempdir().unwrap();
     let (report, error) = mapped(60.0, Scans::Blind, false, folder.path());
     let issues = report["issues"].as_array().unwrap();

@@ -52,8 +52,8 @@ fn found(messages: usize, asked_for: Option<&str>) -> (Option<f64>, u64, usize) 
     let ingest = IngestOptions { odometry_topic: asked_for.map(str::to_owned), ..IngestOptions::default() };
     let prepared = portolan::pipeline::prepare(recording.as_ref(), &ingest, None).unwrap();
     let plan = prepared.plan.clone();
-    let is_said = plan.notices.iter().any(|notice| notice.what.contains("repeats its last pose"));
-    assert_eq!(is_said, messages > 1);
+    let is_noted = plan.notices.iter().any(|notice| notice.what.contains("repeats its last pose"));
+    assert_eq!(is_noted, messages > 1);
     let hold = plan.longest_odometry_hold;
     let mut ingestion =
         portolan::ingest::Ingestion::with_plan(recording.as_ref(), prepared.inventory(), plan, &ingest)

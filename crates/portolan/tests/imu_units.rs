@@ -66,26 +66,26 @@ fn scale(imu: &mut Imu, factor: f64) {
 
 /// Ones that turn so gently that their values could be radians.
 #[test]
-fn a_gyroscope_in_degrees_is_told_by_turns_of_the_lidar() {
+fn a_gyroscope_in_degrees_is_detected_by_rotations_of_the_lidar() {
     for world in [World::Tunnel, World::Office] {
-        let (imu, said) = planned(&world, |imu| scale(imu, 1f64.to_degrees()));
-        assert_eq!(imu.unwrap().scale.angular_velocity, 1f64.to_radians(), "{said:?}");
-        assert!(said.iter().any(|what| what.contains("in degrees per second")), "{said:?}");
-        let (imu, said) = planned(&world, |_| {});
+        let (imu, notices) = planned(&world, |imu| scale(imu, 1f64.to_degrees()));
+        assert_eq!(imu.unwrap().scale.angular_velocity, 1f64.to_radians(), "{notices:?}");
+        assert!(notices.iter().any(|what| what.contains("in degrees per second")), "{notices:?}");
+        let (imu, notices) = planned(&world, |_| {});
         assert_eq!(imu.unwrap().scale.angular_velocity, 1.0);
-        assert!(!said.iter().any(|what| what.contains("times as fast")), "{said:?}");
+        assert!(!notices.iter().any(|what| what.contains("times as fast")), "{notices:?}");
     }
 }
 
 #[test]
-fn a_gyroscope_that_turns_the_other_way_than_planar_scans_is_left_out() {
-    let (imu, said) = planned(&World::Office, |imu| scale(imu, -1.0));
-    assert!(imu.is_none() && said.iter().any(|what| what.contains("turns the other way")), "{said:?}");
+fn a_gyroscope_with_the_opposite_sign_of_planar_scans_is_left_out() {
+    let (imu, notices) = planned(&World::Office, |imu| scale(imu, -1.0));
+    assert!(imu.is_none() && notices.iter().any(|what| what.contains("rotates opposite to")), "{notices:?}");
 }
 
 #[test]
 fn an_imu_that_is_mounted_askew_is_turned_as_the_lidar_shows() {
-    let (imu, said) = planned(&World::Museum, |imu| {
+    let (imu, notices) = planned(&World::Museum, |imu| {
         let askew = quaternion_from_angle_axis(&(Vector3::x() * 8f64.to_radians()));
         for vector in [&mut imu.angular_velocity, &mut imu.linear_acceleration] {
             *vector = (askew * Vector3::from(*vector)).into();
@@ -93,8 +93,11 @@ fn an_imu_that_is_mounted_askew_is_turned_as_the_lidar_shows() {
     });
     let left =
         imu.unwrap().correction.inverse() * quaternion_from_angle_axis(&(Vector3::x() * -8f64.to_radians()));
-    assert!(left.angle().to_degrees() < 1.0, "{}: {said:?}", left.angle().to_degrees());
-    assert!(said.iter().any(|what| what.contains("otherwise than the transforms say")), "{said:?}");
-    let (imu, said) = planned(&World::Museum, |_| {});
-    assert_eq!(imu.unwrap().correction.angle(), 0.0, "{said:?}");
+    assert!(left.angle().to_degrees() < 1.0, "{}: {notices:?}", left.angle().to_degrees());
+    assert!(
+        notices.iter().any(|what| what.contains("against its mounting in the transforms")),
+        "{notices:?}"
+    );
+    let (imu, notices) = planned(&World::Museum, |_| {});
+    assert_eq!(imu.unwrap().correction.angle(), 0.0, "{notices:?}");
 }

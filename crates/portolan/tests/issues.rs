@@ -57,7 +57,7 @@ fn mapped(known_issues: IssueLog, late: &[(u32, f64)]) -> (bool, Vec<Issue>) {
 }
 
 #[test]
-fn what_was_lost_of_a_known_map_counts() {
+fn losses_of_a_known_map_are_reported() {
     assert!(!mapped(IssueLog::default(), &[]).0);
     let mut issues = IssueLog::default();
     issues.add(IssueKind::UpdateMarker);
@@ -68,7 +68,7 @@ fn what_was_lost_of_a_known_map_counts() {
 }
 
 #[test]
-fn what_was_lost_in_mapping_counts() {
+fn losses_in_mapping_are_reported() {
     let scans = SensorId::new(SensorKind::Range, "scan");
     let mut mapper = Mapper::<Space2d>::new(&Default::default(), MapperSettings::default()).unwrap();
     let id = mapper.add_trajectory(&[scans].into(), None).unwrap();
@@ -107,13 +107,13 @@ fn the_report_has_kinds_sensors_and_times() {
 }
 
 #[test]
-fn the_report_has_what_was_decided() {
+fn the_report_has_the_choices() {
     let folder = tempfile::tempdir().unwrap();
     let finished = map(&room(&[]), MapRequest::new(folder.path()), &mut unobserved).unwrap();
     assert!(!finished.summary.lost_data);
     let report = std::fs::read(folder.path().join("report.json")).unwrap();
     let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
     let choices = report["choices"].as_array().unwrap();
-    let said: Vec<&str> = choices.iter().map(|choice| choice["what"].as_str().unwrap()).collect();
-    assert!(said.iter().any(|what| what.contains("laser")), "no robot's frame is known: {said:?}");
+    let texts: Vec<&str> = choices.iter().map(|choice| choice["what"].as_str().unwrap()).collect();
+    assert!(texts.iter().any(|what| what.contains("laser")), "no robot's frame is known: {texts:?}");
 }

@@ -58,7 +58,7 @@ fn a_robot_is_found_without_a_start() {
 }
 
 #[test]
-fn covariances_are_about_what_errors_are() {
+fn covariances_match_errors() {
     let today = drive(1, 4, 60.0);
     let found = find(&today, None);
     let localised = found.estimates.iter().filter(|e| e.state == State::Localised);
@@ -81,8 +81,8 @@ fn covariances_are_about_what_errors_are() {
 fn a_wrong_start_costs_seconds() {
     let today = drive(1, 2, 30.0);
     let right = known().truth(&today, today.start_time()).unwrap();
-    let told = find(&today, Some(StartPose::new(right)));
-    assert_eq!((told.found(), told.start_agrees), (Found::Throughout, Some(true)));
+    let given = find(&today, Some(StartPose::new(right)));
+    assert_eq!((given.found(), given.start_agrees), (Found::Throughout, Some(true)));
     let wrong =
         Rigid3::translation(4.0, -3.0, 0.0) * right * Rigid3::new(Vector3::zeros(), Vector3::z() * 1.5);
     let corrected = find(&today, Some(StartPose::new(wrong)));
@@ -174,7 +174,7 @@ fn a_kidnapped_robot_knows_that_it_is_lost_and_is_found_again() {
 }
 
 #[test]
-fn who_sees_nothing_is_carried_along_and_not_found_anywhere_else() {
+fn a_covered_scanner_moves_with_odometry_and_is_not_found_elsewhere() {
     let folder = tempfile::tempdir().unwrap();
     let (today, bag) = (drive(1, 2, 40.0), folder.path().join("covered.bag"));
     let at = |seconds| today.start_time() + Duration::from_seconds(seconds);
@@ -213,7 +213,7 @@ fn results_do_not_depend_on_the_number_of_threads() {
 }
 
 #[test]
-fn bad_maps_are_told_as_what_they_are() {
+fn bad_maps_are_reported_with_their_fault() {
     let empty = KnownMap2d::new(&GraphState::<Space2d>::default());
     assert!(matches!(empty, Err(KnownMapError::Empty)));
     let folder = tempfile::tempdir().unwrap();
@@ -227,7 +227,7 @@ fn bad_maps_are_told_as_what_they_are() {
 }
 
 #[test]
-fn why_it_is_not_known_is_said() {
+fn estimates_without_a_place_have_a_reason() {
     let elsewhere = drive(2, 2, 10.0);
     let found = find(&elsewhere, None);
     let reasons = [Reason::NoPlaceFits, Reason::SeveralPlacesFit, Reason::TooLittleSeen];
@@ -264,7 +264,7 @@ fn changes_near<'a>(found: &'a LocalizedRecording, kind: ChangeKind, at: &Vector
 }
 
 #[test]
-fn what_was_put_into_the_building_appears_and_little_else() {
+fn objects_put_into_the_building_appear_and_little_else() {
     let unchanged = find(&drive(1, 2, 60.0), None);
     let area = |found: &LocalizedRecording| found.changes.iter().map(|c| c.area).sum::<f64>();
     let (today, centre) = drive_past_a_barrel(2, 60.0);
@@ -277,7 +277,7 @@ fn what_was_put_into_the_building_appears_and_little_else() {
 }
 
 #[test]
-fn what_was_taken_out_of_the_building_is_gone() {
+fn objects_taken_out_of_the_building_are_gone() {
     let folder = tempfile::tempdir().unwrap();
     let (first_day, centre) = drive_past_a_barrel(2, 60.0);
     map(&first_day, MapRequest::new(folder.path()), &mut unobserved).unwrap();
@@ -305,7 +305,7 @@ fn places_are_the_same_for_any_number_of_threads() {
     let [one, three] = [1, 3].map(|threads| examine_map(&path, threads, &mut unobserved).unwrap());
     assert!(one.places.len() > 3, "{}", one.places.len());
     assert_eq!(one.places, three.places);
-    let of_way: f64 = one.counts().iter().map(|(_, count)| count.fraction_of_way).sum();
-    assert!((of_way - 1.0).abs() < 1e-9, "{of_way}");
+    let of_path: f64 = one.counts().iter().map(|(_, count)| count.fraction_of_path).sum();
+    assert!((of_path - 1.0).abs() < 1e-9, "{of_path}");
     assert!(examine_map(&folder.path().join("none"), 1, &mut unobserved).is_err());
 }

@@ -100,7 +100,7 @@ fn files_do_not_depend_on_the_number_of_threads_and_have_six_dimensions() {
 }
 
 #[test]
-fn empty_maps_are_told_as_such() {
+fn empty_maps_are_reported() {
     let empty = KnownMap3d::new(&GraphState::<Space3d>::default());
     assert!(matches!(empty, Err(KnownMapError::Empty)));
 }

@@ -94,13 +94,13 @@ fn a_recording_starts_at_its_fix_and_a_wrong_fix_costs_seconds() {
 
     let today = Day::new(2, 20.0, Vector3::zeros());
     let by_itself = find(&today.recording, &path, None).unwrap();
-    let told = by_itself.start.unwrap();
-    assert!(by_itself.starts_at_fix && by_itself.start_agrees == Some(true), "{told:?}");
-    assert!((SIGMA..2.0 * SIGMA).contains(&told.sigma_metres), "{told:?}");
-    let place = world_from_map * told.map_from_tracking;
-    let way =
+    let start = by_itself.start.unwrap();
+    assert!(by_itself.starts_at_fix && by_itself.start_agrees == Some(true), "{start:?}");
+    assert!((SIGMA..2.0 * SIGMA).contains(&start.sigma_metres), "{start:?}");
+    let place = world_from_map * start.map_from_tracking;
+    let offset =
         place.translation.vector - today.drive.truth_at(today.drive.start_time()).unwrap().translation.vector;
-    assert!(way.xy().norm() < 10.0, "the fix lies on the way of today: {way}");
+    assert!(offset.xy().norm() < 10.0, "the fix lies on the way of today: {offset}");
     assert!(last_error(&by_itself, &today, &world_from_map) < 0.2);
 
     let searched = find(&today.recording, &path, Some(Start::Unknown)).unwrap();
@@ -117,13 +117,13 @@ fn a_recording_starts_at_its_fix_and_a_wrong_fix_costs_seconds() {
 }
 
 #[test]
-fn a_map_without_fixes_tells_that_it_has_none() {
+fn a_map_without_fixes_refuses_starts_at_fixes() {
     let folder = tempfile::tempdir().unwrap();
     let day = Day::new(1, 20.0, Vector3::zeros());
     map(&day.drive, MapRequest::new(folder.path()), &mut unobserved).unwrap();
     let path = folder.path().join("map.pbstream");
     let error = find(&day.recording, &path, Some(Start::Fixes)).err().unwrap();
-    assert!(error.to_string().contains("does not say where on the Earth it is"), "{error}");
+    assert!(error.to_string().contains("is not georeferenced"), "{error}");
     let found = find(&day.recording, &path, None).unwrap();
     assert!(found.start.is_none() && !found.starts_at_fix);
 }

@@ -77,7 +77,7 @@ fn a_scanner_that_was_carried_elsewhere_is_found_again_by_loop_closures() {
 }
 
 #[test]
-fn what_was_seen_in_another_building_stays_a_piece_of_its_own() {
+fn scans_of_another_building_stay_a_separate_piece() {
     if is_fast() {
         return left_out("a walk that goes on in another building");
     }

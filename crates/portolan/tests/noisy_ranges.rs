@@ -66,8 +66,8 @@ fn ingested(fault: Fault, range_noise: RangeNoise) -> (Option<f64>, Vec<Vec<f64>
     let prepared = portolan::pipeline::prepare(recording.as_ref(), &ingest, None).unwrap();
     let plan = prepared.plan.clone();
     let noise = plan.range.first().unwrap().range_noise;
-    let is_said = plan.notices.iter().any(|notice| notice.what.contains("smoothed along walls"));
-    assert_eq!(is_said, noise.is_some() && range_noise == RangeNoise::Auto);
+    let is_noted = plan.notices.iter().any(|notice| notice.what.contains("smoothed along walls"));
+    assert_eq!(is_noted, noise.is_some() && range_noise == RangeNoise::Auto);
     let mut ingestion =
         Ingestion::with_plan(recording.as_ref(), prepared.inventory(), plan, &ingest).unwrap();
     let mut scans = Vec::new();

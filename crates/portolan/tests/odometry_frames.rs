@@ -36,7 +36,7 @@ impl RecordingWriter for DistortedOdometry {
 }
 
 /// What is said of odometry before a drive through an office is mapped, and whether it is used.
-fn said_of(distort: fn(Rigid2) -> Rigid2, ingest: &IngestOptions) -> (String, bool) {
+fn notices_of(distort: fn(Rigid2) -> Rigid2, ingest: &IngestOptions) -> (String, bool) {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("drive.bag");
     let options = ScenarioOptions { duration: Some(90.0), ..ScenarioOptions::new(Scene::Office, 3) };
@@ -60,23 +60,23 @@ fn turned(pose: Rigid2) -> Rigid2 {
 #[test]
 fn odometry_that_moves_otherwise_than_scans_is_named_and_left_out() {
     let free = IngestOptions::default();
-    assert_eq!(said_of(|pose| pose, &free), (String::new(), true));
+    assert_eq!(notices_of(|pose| pose, &free), (String::new(), true));
     for (distort, words) in [
-        (turned as fn(Rigid2) -> Rigid2, "times as far as scans, 90° to the right of them"),
+        (turned as fn(Rigid2) -> Rigid2, "times the distance of scans, 90° to the right of them"),
         (
             |pose| Rigid2::new(pose.translation.x, -pose.translation.y, -pose.angle),
-            "turns the other way than scans",
+            "rotates opposite to scans",
         ),
-        (|_| Rigid2::identity(), "stays where it is while scans move: it is left out"),
+        (|_| Rigid2::identity(), "does not move while scans do: it is left out"),
         (
             |pose| Rigid2 { translation: pose.translation * 100.0, ..pose },
-            "times as far as scans: it is left out",
+            "times the distance of scans: it is left out",
         ),
     ] {
-        let (said, is_used) = said_of(distort, &free);
-        assert!(said.contains(words) && !is_used, "{words}: {said}");
+        let (notices, is_used) = notices_of(distort, &free);
+        assert!(notices.contains(words) && !is_used, "{words}: {notices}");
     }
     let wanted = IngestOptions { odometry_topic: Some("/odom".to_owned()), ..free };
-    let (said, is_used) = said_of(turned, &wanted);
-    assert!(said.contains("it is used all the same") && is_used, "{said}");
+    let (notices, is_used) = notices_of(turned, &wanted);
+    assert!(notices.contains("it is used all the same") && is_used, "{notices}");
 }

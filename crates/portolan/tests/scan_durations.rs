@@ -37,14 +37,14 @@ fn planned(is_silent: bool, ingest: &IngestOptions) -> Option<f64> {
     Box::new(writer).finish().unwrap();
     let recording = open_all(&[bag]).unwrap();
     let plan = portolan::pipeline::prepare(recording.as_ref(), ingest, None).unwrap().plan;
-    let is_said = plan.notices.iter().any(|notice| notice.what.contains("scans of /scan are taken to last"));
+    let is_noted = plan.notices.iter().any(|notice| notice.what.contains("scans of /scan are taken to last"));
     let duration = plan.range.first().unwrap().scan_duration;
-    assert_eq!(is_said, duration.is_some_and(|seconds| seconds > 0.0));
+    assert_eq!(is_noted, duration.is_some_and(|seconds| seconds > 0.0));
     duration
 }
 
 #[test]
-fn beams_get_the_times_that_turns_show() {
+fn beam_times_follow_from_rotations() {
     let free = IngestOptions::default();
     assert_eq!(planned(false, &free), None);
     let found = planned(true, &free).unwrap();

@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn bursts_and_steps_back_are_told_from_steady_stamps() {
+    fn bursts_and_backward_steps_are_distinguished_from_steady_stamps() {
         let steady = pattern(|k| 0.2 * f64::from(k) + 0.003 * f64::from(k % 7)).unwrap();
         assert!((steady.period - 0.2).abs() < 0.001 && !steady.is_disturbed(), "{steady:?}");
         let bursts = pattern(|k| (0.2 * f64::from(k) / 0.9).ceil() * 0.9 + 0.001 * f64::from(k % 5)).unwrap();

@@ -215,7 +215,7 @@ impl<R: Read> Read for Bounded<R> {
                 0 => Ok(0),
                 _ => Err(std::io::Error::new(
                     ErrorKind::InvalidData,
-                    "far more text comes out of it than out of any recording of its size",
+                    "it unpacks to far more text than any recording of its size holds",
                 )),
             };
         }

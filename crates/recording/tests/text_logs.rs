@@ -44,7 +44,7 @@ fn aces_as_a_carmen_log() {
 }
 
 #[test]
-fn fr079_tells_where_its_scanner_sits() {
+fn the_scanner_pose_is_read_from_fr079() {
     let Some(path) = real_data("lidar2d/fr079/fr079.clf.bz2") else { return };
     let log = open_text_log(&path).unwrap().unwrap();
     let (messages, _) = read_all(&*log);

@@ -143,7 +143,7 @@ pub fn refine_continuous_with(
     run.session.report.other_sensors = found;
     run.session.judge_mountings(sensors);
     Ok(run.session.finish(|trajectory, anchor| {
-        options.gauge.settle(trajectory, anchor, &found, world_from_fixed.as_ref());
+        options.gauge.apply(trajectory, anchor, &found, world_from_fixed.as_ref());
     }))
 }
 
@@ -213,7 +213,7 @@ impl Run<'_, '_> {
         let is_refused = found.as_ref().is_some_and(|found| found.is_refused);
         if is_refused {
             session.keep_input(
-                "surfaces that were kept out of the fit agree less with the result than with the input, so the \
+                "held-out surfaces agree less with the result than with the input, so the \
                  input was kept",
             );
         }
@@ -323,11 +323,16 @@ impl Run<'_, '_> {
     fn begin(&mut self, stage: &str, share: f64) -> bool {
         let last = self.session.report.steps.last();
         let (rms, shift) = (last.map(|step| step.rms), last.map(|step| step.shift));
-        self.tell(stage.to_owned(), share, (rms, shift))
+        self.report_progress(stage.to_owned(), share, (rms, shift))
     }
 
     /// Reports the progress; returns whether to go on. After a stop the observer is not asked again.
-    fn tell(&mut self, stage: String, share: f64, (rms, shift): (Option<f64>, Option<f64>)) -> bool {
+    fn report_progress(
+        &mut self,
+        stage: String,
+        share: f64,
+        (rms, shift): (Option<f64>, Option<f64>),
+    ) -> bool {
         let report = &mut self.session.report;
         if report.stopped {
             return false;
@@ -345,6 +350,6 @@ impl Run<'_, '_> {
             "coarse" => format!("drift within {:.2} m", step.reach),
             _ => format!("drift within {:.2} m of the seconds before", step.reach),
         };
-        self.tell(stage, share, (Some(step.rms), Some(step.shift)))
+        self.report_progress(stage, share, (Some(step.rms), Some(step.shift)))
     }
 }

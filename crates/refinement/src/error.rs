@@ -25,9 +25,7 @@ pub enum RefineError {
         hint: String,
     },
     /// No plane was found.
-    #[error(
-        "no surfaces were found in the points; are extrinsics and times right? {0} points were looked at"
-    )]
+    #[error("no surfaces were found in the points; are extrinsics and times right? {0} points were searched")]
     NoSurfaces(usize),
     /// The value of an option is invalid.
     #[error("{0}")]

@@ -176,7 +176,7 @@ impl PointStore {
                 self.left_out.outside_of_time += 1;
             }
         }
-        self.settle(first_new);
+        self.sort_new(first_new);
         if self.points.len() > self.limit {
             self.thin();
         }
@@ -184,7 +184,7 @@ impl PointStore {
 
     /// Sorts new points by time into those before them. Sweeps come nearly in order, so this touches few
     /// points and needs no memory, whereas sorting everything at the end would need half as much again.
-    fn settle(&mut self, first_new: usize) {
+    fn sort_new(&mut self, first_new: usize) {
         let (old, new) = self.points.split_at(first_new);
         let Some(earliest) = new.iter().map(StoredPoint::ticks).min() else { return };
         if !self.is_sorted {

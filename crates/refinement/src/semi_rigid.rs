@@ -74,7 +74,7 @@ pub fn refine_semi_rigid(
     let outer_iterations = options.outer_iterations.max(1);
     for iteration in 0..outer_iterations {
         let usual = (USUAL_STEPS * outer_iterations) as f64;
-        let mut tell = |session: &Session, step: &RefineStep| {
+        let mut report_step = |session: &Session, step: &RefineStep| {
             let steps = session.report.steps.len().min(USUAL_STEPS * (iteration + 1));
             observe(&RefineProgress {
                 stage: match step.stage {
@@ -87,7 +87,7 @@ pub fn refine_semi_rigid(
                 entropy: session.report.sharpness_by_round.last().map(|s| s.mean_map_entropy),
             })
         };
-        outer_iteration(&mut session, options, &mut tell)?;
+        outer_iteration(&mut session, options, &mut report_step)?;
         if session.report.stopped {
             break;
         }

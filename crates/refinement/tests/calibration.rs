@@ -12,9 +12,9 @@ use synthetic::{
     Lidar, Random, circles, disturbed, errors, furnished, poses, room, scan, scan_with, straight,
 };
 
-fn mounted(said: Rigid3, delay: f64) -> [Lidar; 2] {
+fn mounted(assumed_mounting: Rigid3, delay: f64) -> [Lidar; 2] {
     let first = Lidar { name: "first", ..Lidar::known() };
-    [first, Lidar { name: "second", tracking_from_lidar: mount(), said, delay }]
+    [first, Lidar { name: "second", tracking_from_lidar: mount(), assumed_mounting, delay }]
 }
 
 fn mount() -> Rigid3 {
@@ -53,7 +53,7 @@ fn a_wrong_place_and_clock_of_a_lidar_are_found() {
 }
 
 #[test]
-fn what_the_motion_does_not_determine_is_named() {
+fn parameters_that_the_motion_does_not_constrain_are_named() {
     // In a corridor nobody knows how far along it the second lidar sits.
     let walls = room([-100.0, -1.0, 0.0], [200.0, 1.2, 2.6]);
     let points = scan_with(&mounted(mount(), 0.0), &walls, straight, 8.0, 60);

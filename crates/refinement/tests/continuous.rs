@@ -54,7 +54,7 @@ fn a_perfect_trajectory_stays_perfect() {
 }
 
 #[test]
-fn along_a_corridor_nothing_is_known_and_nothing_is_done() {
+fn nothing_is_corrected_along_a_corridor() {
     let walls = room([-100.0, -1.0, 0.0], [200.0, 1.2, 2.6]);
     let points = scan(&walls, straight, 10.0, 120);
     let truth = poses(straight, 10.0);
@@ -156,7 +156,7 @@ fn the_published_method_finds_drift_too() {
 }
 
 #[test]
-fn stopping_keeps_what_is_reached() {
+fn stopping_keeps_the_result_so_far() {
     let truth = poses(circles, 8.0);
     let points = scan(&furnished(), circles, 8.0, 60);
     let input = disturbed(&truth, 0.3, 0.01);
@@ -178,7 +178,7 @@ fn stopping_keeps_what_is_reached() {
 }
 
 #[test]
-fn gaps_other_clocks_and_missing_points_are_told() {
+fn gaps_other_clocks_and_missing_points_are_reported() {
     let truth = poses(circles, 8.0);
     let points = scan(&furnished(), circles, 8.0, 60);
     let options = ContinuousOptions::default();

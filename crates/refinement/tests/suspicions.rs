@@ -36,9 +36,9 @@ fn a_wrong_time_base_is_named_with_the_offset_that_fits() {
     let right = report(&points, &truth);
     assert!(right.warnings.is_empty(), "{:?}", right.warnings);
     for seconds in [0.6, -1.4] {
-        let told = report(&points, &later(&truth, seconds)).warnings.join("\n");
-        assert!(told.contains("wrong time base"), "{seconds}: {told}");
-        assert!((offset_named(&told) + seconds).abs() < 0.03, "{seconds}: {told}");
+        let message = report(&points, &later(&truth, seconds)).warnings.join("\n");
+        assert!(message.contains("wrong time base"), "{seconds}: {message}");
+        assert!((offset_named(&message) + seconds).abs() < 0.03, "{seconds}: {message}");
     }
 }
 
@@ -49,10 +49,10 @@ fn a_clock_far_off_is_named_too() {
     let shorter: Poses = truth[100..].to_vec();
     let options = ContinuousOptions::default();
     let error = refine_continuous(&points, &later(&shorter, 5000.0), &options, &mut |_| true).unwrap_err();
-    let told = error.to_string();
-    assert!(matches!(error, RefineError::NoOverlap { .. }) && told.contains("fit together"), "{told}");
-    let named: f64 = told.split("(-").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
-    assert!((named - 5000.0).abs() < 0.03, "{told}");
+    let message = error.to_string();
+    assert!(matches!(error, RefineError::NoOverlap { .. }) && message.contains("fit together"), "{message}");
+    let named: f64 = message.split("(-").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+    assert!((named - 5000.0).abs() < 0.03, "{message}");
 }
 
 #[test]
@@ -68,8 +68,8 @@ fn the_trajectory_of_another_recording_is_suspected() {
         },
         20.0,
     );
-    let told = report(&points, &other).warnings.join("\n");
-    assert!(told.contains("another recording"), "{told}");
+    let message = report(&points, &other).warnings.join("\n");
+    assert!(message.contains("another recording"), "{message}");
 }
 
 #[test]
@@ -86,15 +86,15 @@ fn a_short_trajectory_and_empty_sweeps_are_counted() {
     let nan = TimedPoint { position: Point3f::new(f32::NAN, 0.0, 1.0), time: 0.0 };
     points.push(&empty(vec![nan; 5]));
     points.sort();
-    let told = report(&points, &truth);
-    let text = told.warnings.join("\n");
+    let message = report(&points, &truth);
+    let text = message.warnings.join("\n");
     assert!(text.contains("shorter than the recording") && text.contains("ends 8.0 s earlier"), "{text}");
     assert!(text.contains("1 of 202 sweeps"), "{text}");
-    assert_eq!(told.left_out.not_finite, 5);
+    assert_eq!(message.left_out.not_finite, 5);
 }
 
 #[test]
-fn poses_that_are_no_poses_are_refused() {
+fn invalid_poses_are_refused() {
     let points = scan(&furnished(), circles, 3.0, 60);
     let mut input = poses(circles, 3.0);
     input[17].1.translation.vector.x = f64::NAN;
@@ -113,8 +113,8 @@ fn a_lidar_that_sits_elsewhere_is_suspected() {
     }
     let mount = Rigid3::new(Vector3::new(-0.2, 0.1, 0.3), Vector3::new(0.0, 0.6, 0.0));
     let wrong = Rigid3::new(Vector3::new(0.03, 0.0, 0.02), Vector3::new(0.0, 0.0, 0.03));
-    let lidars = |said| {
-        let second = Lidar { name: "second", tracking_from_lidar: mount, said, delay: 0.0 };
+    let lidars = |assumed_mounting| {
+        let second = Lidar { name: "second", tracking_from_lidar: mount, assumed_mounting, delay: 0.0 };
         [Lidar { name: "first", ..Lidar::known() }, second]
     };
     let truth = poses(circles, 15.0);
@@ -122,8 +122,8 @@ fn a_lidar_that_sits_elsewhere_is_suspected() {
     let good = report(&scan_with(&lidars(mount), &furnished(), circles, 15.0, 60), &input);
     assert!(good.warnings.is_empty(), "{:?}", good.warnings);
     let bad = report(&scan_with(&lidars(mount * wrong), &furnished(), circles, 15.0, 60), &input);
-    let told = bad.warnings.join("\n");
-    assert!(told.contains("wrong extrinsics") && told.contains("second"), "{told}");
+    let message = bad.warnings.join("\n");
+    assert!(message.contains("wrong extrinsics") && message.contains("second"), "{message}");
 }
 
 #[test]
@@ -133,6 +133,6 @@ fn extrinsics_to_the_tracking_frame_are_suspected() {
     let points = scan(&furnished(), circles, 20.0, 60);
     let turned = Rigid3::new(Vector3::new(0.0, 0.0, 0.0), Vector3::new(0.0, 0.0, 0.05));
     let input: Poses = truth.iter().map(|(time, pose)| (*time, pose * turned)).collect();
-    let told = report(&points, &input).warnings.join("\n");
-    assert!(told.contains("wrong extrinsics") && told.contains("deg"), "{told}");
+    let message = report(&points, &input).warnings.join("\n");
+    assert!(message.contains("wrong extrinsics") && message.contains("deg"), "{message}");
 }

@@ -103,7 +103,7 @@ pub enum IcpError {
     #[error("the {0} scan has no points")]
     NoPoints(&'static str),
     /// All points of a scan coincide.
-    #[error("all points of the {0} scan lie at one place")]
+    #[error("all points of the {0} scan are at the same position")]
     OnePlace(&'static str),
     /// Too few points are near each other.
     #[error(
@@ -121,10 +121,10 @@ pub enum IcpError {
         nearest: Option<f64>,
     },
     /// A method with planes is requested, but the points have no surfaces.
-    #[error("no point of the model lies on a surface: take a method that compares points, or denser scans")]
+    #[error("no point of the model is on a surface: use a method that matches points, or denser scans")]
     NoSurfaces,
     /// The pairs do not determine a transform.
-    #[error("the pairs do not determine a transform (do all of them lie on one line?)")]
+    #[error("the point pairs do not determine a transform (are all of them on one line?)")]
     Undetermined,
 }
 

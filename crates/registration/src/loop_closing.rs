@@ -72,13 +72,13 @@ pub fn balance(count: usize, costs: &[(usize, usize, f64)], first: usize, last: 
     let mut unused: BTreeSet<usize> = (0..costs.len())
         .filter(|i| costs[*i].0 < count && costs[*i].1 < count && costs[*i].0 != costs[*i].1)
         .collect();
-    while let Some(way) = cheapest_way(count, costs, &unused, &shares) {
-        let ends = [way.scans.first(), way.scans.last()].map(|s| s.and_then(|s| shares[*s]).unwrap_or(0.0));
-        let total = way.distances.last().copied().unwrap_or(1.0);
-        for (scan, distance) in way.scans.iter().zip(&way.distances) {
+    while let Some(path) = cheapest_path(count, costs, &unused, &shares) {
+        let ends = [path.scans.first(), path.scans.last()].map(|s| s.and_then(|s| shares[*s]).unwrap_or(0.0));
+        let total = path.distances.last().copied().unwrap_or(1.0);
+        for (scan, distance) in path.scans.iter().zip(&path.distances) {
             shares[*scan].get_or_insert(ends[0] + (ends[1] - ends[0]) * distance / total);
         }
-        unused.retain(|link| !way.links.contains(link));
+        unused.retain(|link| !path.links.contains(link));
     }
     // Branches.
     loop {
@@ -101,7 +101,7 @@ pub fn balance(count: usize, costs: &[(usize, usize, f64)], first: usize, last: 
 }
 
 /// A path between two scans with known fractions.
-struct Way {
+struct Path {
     scans: Vec<usize>,
     /// Costs from the first scan to each.
     distances: Vec<f64>,
@@ -110,12 +110,12 @@ struct Way {
 
 /// The cheapest path through unused links from one scan with a fraction to another, via scans without one
 /// (Dijkstra from all scans with a fraction at once).
-fn cheapest_way(
+fn cheapest_path(
     count: usize,
     costs: &[(usize, usize, f64)],
     unused: &BTreeSet<usize>,
     shares: &[Option<f64>],
-) -> Option<Way> {
+) -> Option<Path> {
     let mut at: Vec<Vec<usize>> = vec![Vec::new(); count];
     for link in unused {
         at[costs[*link].0].push(*link);
@@ -163,7 +163,7 @@ fn cheapest_way(
     scans.extend(rest);
     links.push(middle);
     links.extend(more);
-    Some(Way { scans, distances, links })
+    Some(Path { scans, distances, links })
 }
 
 fn nearest_open(reached: &[Option<(f64, usize, Option<usize>)>], done: &[bool]) -> Option<usize> {

@@ -127,7 +127,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_metascan_finds_what_one_large_scan_finds() {
+    fn a_metascan_matches_as_one_large_scan() {
         let mut state = 5_u32;
         let mut random = || {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);

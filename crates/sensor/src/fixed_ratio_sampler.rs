@@ -57,7 +57,7 @@ mod tests {
     }
 
     #[test]
-    fn keeps_the_share_it_was_told() {
+    fn keeps_the_given_fraction() {
         assert!(kept(1.0, 100).iter().all(|k| *k));
         assert!(kept(0.0, 100).iter().all(|k| !*k));
         assert!(kept(0.5, 100).iter().enumerate().all(|(i, k)| *k == (i % 2 == 0)));

@@ -39,13 +39,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             }
         }
     }
-    let way: Vec<Vector3> = simulation.truth(20.0).map(|(_, pose)| pose.translation.vector).collect();
+    let trajectory: Vec<Vector3> = simulation.truth(20.0).map(|(_, pose)| pose.translation.vector).collect();
     let everything = |_: &Vector3| true;
-    draw(&format!("{stem}_top.png"), [0, 1], &points, &way, &everything)?;
-    let level = way[0].z;
-    draw(&format!("{stem}_floor.png"), [0, 1], &points, &way, &|p| (p.z - level + 0.3).abs() < 0.25)?;
-    let middle = way.iter().map(|p| p.y).sum::<f64>() / way.len() as f64;
-    draw(&format!("{stem}_section.png"), [0, 2], &points, &way, &|p| (p.y - middle).abs() < 2.5)?;
+    draw(&format!("{stem}_top.png"), [0, 1], &points, &trajectory, &everything)?;
+    let level = trajectory[0].z;
+    draw(&format!("{stem}_floor.png"), [0, 1], &points, &trajectory, &|p| (p.z - level + 0.3).abs() < 0.25)?;
+    let middle = trajectory.iter().map(|p| p.y).sum::<f64>() / trajectory.len() as f64;
+    draw(&format!("{stem}_section.png"), [0, 2], &points, &trajectory, &|p| (p.y - middle).abs() < 2.5)?;
     Ok(())
 }
 
@@ -53,7 +53,7 @@ fn draw(
     path: &str,
     [across, up]: [usize; 2],
     points: &[(Vector3, f32)],
-    way: &[Vector3],
+    trajectory: &[Vector3],
     wanted: &dyn Fn(&Vector3) -> bool,
 ) -> Result<(), Box<dyn std::error::Error>> {
     let shown: Vec<&(Vector3, f32)> = points.iter().filter(|(p, _)| wanted(p)).collect();
@@ -77,7 +77,7 @@ fn draw(
         let v = 70 + (*intensity * 0.9) as u8 / 2;
         put(p, [v, v.saturating_add(20), v.saturating_add(50)]);
     }
-    way.iter().for_each(|p| put(p, [255, 60, 40]));
+    trajectory.iter().for_each(|p| put(p, [255, 60, 40]));
     let mut encoder = png::Encoder::new(BufWriter::new(File::create(path)?), width as u32, height as u32);
     encoder.set_color(png::ColorType::Rgb);
     encoder.write_header()?.write_image_data(&pixels)?;

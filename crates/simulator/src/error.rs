@@ -47,5 +47,5 @@ pub enum SimulatorError {
         "the robot fits at no junction of this building; use a smaller robot_radius or less clutter, \
          or give the plan junctions"
     )]
-    NoWay,
+    NoPath,
 }

@@ -15,7 +15,7 @@ use portolan_worlds::two_d::{ClearanceGrid, FloorPlan, World, draw_plan};
 /// Maximum number of beams of a lidar that are made ahead of the reader; always at least one scan.
 const BEAMS_AHEAD: usize = 1 << 15;
 /// Cell of the grid on which paths are planned, metres.
-const WAY_CELL: f64 = 0.1;
+const PATH_CELL: f64 = 0.1;
 
 /// A recording that is made while it is read, with its ground truth. Clones share all data.
 #[derive(Clone, Debug)]
@@ -53,7 +53,7 @@ impl Simulation {
     pub fn in_plan(options: ScenarioOptions, plan: FloorPlan) -> Result<Self, SimulatorError> {
         options.check()?;
         plan.check()?;
-        let grid = ClearanceGrid::new(&plan.shapes, plan.size, WAY_CELL, options.robot_radius);
+        let grid = ClearanceGrid::new(&plan.shapes, plan.size, PATH_CELL, options.robot_radius);
         let request = TourRequest {
             plan: &plan,
             grid: &grid,
@@ -63,7 +63,7 @@ impl Simulation {
             duration: options.duration,
         };
         let walk =
-            plan_tour(&request, &mut Random::new(options.seed, "walk", 0)).ok_or(SimulatorError::NoWay)?;
+            plan_tour(&request, &mut Random::new(options.seed, "walk", 0)).ok_or(SimulatorError::NoPath)?;
         let people = options.people.unwrap_or(options.scene.default_people());
         let people = plan_people(&plan, &grid, people, &mut Random::new(options.seed, "people", 0));
         let world = World::new(plan.shapes.clone(), people);

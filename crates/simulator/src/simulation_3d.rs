@@ -49,8 +49,8 @@ impl Simulation3d {
         };
         let gait = if options.standing { 0.0 } else { options.gait };
         let motion = Itinerary::plan(&request, &mut random)
-            .and_then(|way| motion_along(&way, options.carrier(), options.base_height, gait, &mut random))
-            .ok_or(SimulatorError::NoWay)?;
+            .and_then(|path| motion_along(&path, options.carrier(), options.base_height, gait, &mut random))
+            .ok_or(SimulatorError::NoPath)?;
         let people = people(&plan, options.people(), &mut Random::new(options.seed, "people", 0));
         let world = SolidWorld::new(plan.solids, people);
         Ok(Self::assemble(options, world, motion, landmark_poses(&plan.marks)))
@@ -205,10 +205,10 @@ impl Inner3d {
 
 /// People on the strolls of a plan, several on one if there are not enough strolls.
 fn people(plan: &SolidPlan, count: usize, random: &mut Random) -> Vec<Pedestrian> {
-    let strolls: Vec<&Vec<Vector3>> = plan.strolls.iter().filter(|way| way.len() > 1).collect();
+    let strolls: Vec<&Vec<Vector3>> = plan.strolls.iter().filter(|path| path.len() > 1).collect();
     let person = |i: usize| {
-        let way = strolls.get(i % strolls.len().max(1))?;
-        Pedestrian::new(way, random.between(0.5, 1.3), random.between(0.0, 100.0))
+        let path = strolls.get(i % strolls.len().max(1))?;
+        Pedestrian::new(path, random.between(0.5, 1.3), random.between(0.0, 100.0))
     };
     (0..count).filter_map(person).collect()
 }

@@ -100,7 +100,7 @@ fn undistorted(simulation: &Simulation, scan: &LaserScan) -> Vec<Vector2> {
 }
 
 #[test]
-fn undistorted_scans_lie_on_the_walls() {
+fn undistorted_scans_are_on_the_walls() {
     for scene in Scene::ALL {
         let options = ScenarioOptions { duration: Some(60.0), ..ScenarioOptions::new(scene, 3) };
         let simulation = Simulation::new(options.without_noise()).unwrap();
@@ -195,7 +195,7 @@ fn pillar_and_pane(glass: bool) -> FloorPlan {
 }
 
 #[test]
-fn mixed_pixels_lie_between_the_two_surfaces() {
+fn mixed_pixels_are_between_the_two_surfaces() {
     let lidar =
         LidarOptions { mixed_pixels: 1.0, beam_divergence: 0.02, ..LidarOptions::default().without_noise() };
     let walk = || standing(0.88, 3.0, 0.0);

@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn what_waits_in_a_file_comes_back_in_order() {
+    fn spooled_items_come_back_in_order() {
         let folder = tempfile::tempdir().unwrap();
         let mut spool = Spool::<Pose>::in_folder(folder.path());
         let count = 3 * BLOCK as i64 / 8 + 7;
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_written_stays_in_memory() {
+    fn items_that_cannot_be_written_stay_in_memory() {
         let mut spool = Spool::<Pose>::in_folder(Path::new("/no such folder"));
         assert!(spool.failure().is_some() && spool.is_empty() && spool.last().is_none());
         spool.push(pose(1));

@@ -21,7 +21,7 @@ fn filled(folder: &Path) -> Spool<f64> {
 
 // One test, because the disk is that of the whole process.
 #[test]
-fn nothing_is_missing_without_a_word() {
+fn lost_items_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     fail_at(u64::MAX, Fault::Full);
     let spool = filled(folder.path());

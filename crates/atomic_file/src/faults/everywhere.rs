@@ -78,8 +78,8 @@ pub fn fail_at_every(
             Ok(()) => assert!(left == later, "{place}: nothing is said of {:?}", different(&left, &later)),
             Err(error) => {
                 let text = error.to_string();
-                let is_told = text.contains("os error") || text.contains("space");
-                assert!(is_told, "{place}: no cause: {text}");
+                let has_cause = text.contains("os error") || text.contains("space");
+                assert!(has_cause, "{place}: no cause: {text}");
                 let folder = output.path().to_string_lossy();
                 assert!(text.contains(&*folder), "{place}: no name: {text}");
             }

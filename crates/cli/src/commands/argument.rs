@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn how_well_a_start_is_known() {
+    fn standard_deviations_of_a_start() {
         assert_eq!(start_sigma("2,90"), Ok((2.0, 90f64.to_radians())));
         assert_eq!(start_sigma("0.3"), Ok((0.3, 10f64.to_radians())));
         assert!(["0", "-1,10", "1,0", "nan", "1,2,3"].iter().all(|text| start_sigma(text).is_err()));

@@ -15,17 +15,19 @@ use crate::error::{CliError, Outcome};
 use crate::input::open_map;
 use crate::output::{counted, print, print_json};
 
-/// Diagnose recordings and maps: what is wrong, what follows from it, and what to do.
+/// Diagnose recordings and maps: faults, their consequences, and remedies.
 ///
-/// Of a recording: damage, stamps that jump or differ from the time of recording, gaps, scans that overlap or
-/// repeat, sensors that rotate unlike the others or whose clocks are apart (from 10 ms on between a lidar and an IMU
-/// in 3D), frames without transforms, implausible IMU and odometry. Of a map (.pbstream): damage, missing or
-/// doubled parts, impossible poses, constraints and grids, times out of order, and whether `portolan repair` helps.
+/// Recordings are checked for damage, stamps that jump or differ from the time of recording, gaps, scans that
+/// overlap or repeat, sensors that disagree about rotation or whose clocks are offset (from 10 ms on between
+/// a lidar and an IMU in 3D), frames without transforms, and implausible IMU and odometry. Maps (.pbstream)
+/// are checked for damage, missing or duplicate parts, impossible poses, constraints and grids, and times out
+/// of order; findings say whether `portolan repair` helps.
 ///
-/// With --places (2D, about a second a place) also where in a map `portolan localize` would have difficulties: about
-/// every 2 m what was seen on the last metres is searched in the whole map. Ambiguous is where it fits nearly as well
-/// elsewhere, degenerate where the scan leaves a direction open, as in a corridor, thin where the map does not explain
-/// even what was seen there.
+/// With --places (2D maps, about one second per place) it also reports where in a map `portolan localize`
+/// would have difficulties: about every 2 m, the scans of the last metres are searched in the whole map. A
+/// place is ambiguous if they fit nearly as well elsewhere, degenerate if the scan does not constrain one
+/// direction, as in a corridor, and thin if the map does not explain even the scans that it was made from
+/// there.
 ///
 /// Exit code 0 if there is no finding of severity error, 1 if there is.
 #[derive(clap::Args)]
@@ -36,15 +38,15 @@ pub struct CheckArgs {
     /// Recordings and maps.
     #[arg(required = true, value_name = "PATH")]
     paths: Vec<PathBuf>,
-    /// Also show how long the intervals between the messages of a recording are.
+    /// Also print histograms of the intervals between the messages of a recording.
     #[arg(long, conflicts_with = "json")]
     histograms: bool,
-    /// Of maps in 2D also examine places along the trajectories: how well localisation can tell them apart. It takes
-    /// minutes in large maps.
+    /// For 2D maps: also examine how well localisation can distinguish places along the trajectories. It
+    /// takes minutes for large maps.
     #[arg(long)]
     places: bool,
-    /// Draw the places of the one map, and examine them for it: the trajectory green where they are distinct, blue
-    /// degenerate, orange ambiguous, red thin.
+    /// Examine the places of a single map and draw them: the trajectory is green where they are distinct,
+    /// blue where degenerate, orange where ambiguous, red where thin.
     #[arg(long, value_name = "FILE.png")]
     picture: Option<PathBuf>,
     /// Print JSON: an array with one object for each path.
@@ -116,7 +118,10 @@ fn check(path: &Path, args: &CheckArgs, global: &GlobalArgs) -> Result<Report, C
     let is_map = map.is_some();
     let picture = args.picture.as_deref();
     if !is_map && picture.is_some() {
-        return Err(CliError::Usage(format!("{}: --picture is of maps; this is none", path.display())));
+        return Err(CliError::Usage(format!(
+            "{}: --picture needs a map, and this is not one",
+            path.display()
+        )));
     }
     let (mut findings, places, histograms) = match map {
         Some(input) => {

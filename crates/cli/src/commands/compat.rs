@@ -13,19 +13,19 @@ use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{print, print_summary};
 
-/// Run under the names, flags and messages of Cartographer's programs.
+/// Run as one of Cartographer's programs, with its name, flags and messages.
 ///
-/// Also when this program is called through a link of one of these names, which --links makes. Flags are
-/// given as there: -flag value, --flag=value, --noflag.
+/// The same happens if this program is called through a link of such a name; --links creates these links.
+/// Flags are given as for Cartographer: -flag value, --flag=value, --noflag.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  portolan compat cartographer_pbstream info house.pbstream\n  \
     portolan compat cartographer_pbstream_to_ros_map -pbstream_filename house.pbstream -map_filestem house\n  \
     portolan compat --links ~/.local/bin")]
 pub struct CompatArgs {
-    /// Make links of all names in this folder.
+    /// Create links of all names in this folder.
     #[arg(long, value_name = "FOLDER")]
     links: Option<PathBuf>,
-    /// List the names.
+    /// List the supported programs.
     #[arg(long)]
     list: bool,
     /// Name and arguments of the program.
@@ -53,7 +53,7 @@ const PROGRAMS: [(&str, &str, Run); 10] = [
     ),
     (
         "cartographer_compute_relations_metrics",
-        "a map judged by relations",
+        "errors of a map against relations",
         Alone(portolan_compat::compute_relations_metrics),
     ),
     (
@@ -66,7 +66,7 @@ const PROGRAMS: [(&str, &str, Run); 10] = [
         "a map as .pgm and .yaml",
         Alone(portolan_compat::pbstream_to_ros_map),
     ),
-    ("cartographer_rosbag_validate", "what is wrong with a bag", Alone(portolan_compat::rosbag_validate)),
+    ("cartographer_rosbag_validate", "faults of a bag", Alone(portolan_compat::rosbag_validate)),
     (
         "cartographer_assets_writer",
         "clouds, X-rays and grids of the points of bags, placed by a map",

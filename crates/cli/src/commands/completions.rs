@@ -6,7 +6,7 @@ use crate::output::print_bytes;
 /// Print the completion script of a shell: `source <(portolan completions bash)`.
 #[derive(clap::Args)]
 pub struct CompletionsArgs {
-    /// Which shell.
+    /// Shell to print the script for.
     shell: clap_complete::Shell,
 }
 

@@ -33,11 +33,11 @@ enum What {
     Check(check::CheckArgs),
 }
 
-/// Print the page of all options with defaults, units, bounds and meanings (Markdown).
+/// Print the reference page of all options (Markdown): defaults, units, bounds and descriptions.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  portolan config reference -o options.md")]
 struct ReferenceArgs {
-    /// Write it into a file instead.
+    /// Write the page to a file instead.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
 }

@@ -17,12 +17,12 @@ use format::Format;
 
 /// Convert trajectories, pose graphs and maps into one another.
 ///
-/// Trajectories: TUM (.tum), KITTI poses (.kitti, times beside them), tables (.csv), GeoJSON (.geojson), and
-/// those of maps (.pbstream). Pose graphs: g2o (.g2o) and the constraints of maps. The content says what the
-/// input is, the ending of the output what to write.
+/// Trajectories: TUM (.tum), KITTI poses (.kitti, with a file of times beside it), tables (.csv), GeoJSON
+/// (.geojson), and those of maps (.pbstream). Pose graphs: g2o (.g2o) and the constraints of maps. The input
+/// format is recognised by the content, the output format is chosen by the ending.
 ///
-/// Into a map (`--into MAP -o NEW.pbstream`) go the poses of a trajectory, for example after a refinement, or
-/// those of a g2o file that was made from this map.
+/// With `--into MAP -o NEW.pbstream`, the poses of a trajectory, for example a refined one, or of a g2o file
+/// made from this map are written into the map.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  portolan convert house.pbstream -o house.tum\n  \
     portolan convert house.pbstream -o house.geojson --origin 48.137,11.575,520\n  \
@@ -35,19 +35,21 @@ pub struct ConvertArgs {
     /// File to write.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// What to write, if the ending of the output does not say it.
+    /// Format to write, if the ending of the output does not determine it.
     #[arg(long, value_enum, value_name = "FORMAT")]
     to: Option<Format>,
-    /// Only this trajectory of a map or file; needed where the output can hold one only.
+    /// Use only this trajectory of a map or file; required if the output can hold only one. With --into:
+    /// trajectory of the map that gets the poses, default 0.
     #[arg(long, value_name = "ID")]
     trajectory: Option<i32>,
-    /// Times of KITTI poses, one a line.
+    /// Times of KITTI poses, one per line.
     #[arg(long, value_name = "FILE")]
     times: Option<PathBuf>,
-    /// Map that gets the poses.
+    /// Map that the poses are written into.
     #[arg(long, value_name = "MAP")]
     into: Option<PathBuf>,
-    /// Where on the Earth (WGS 84) the origin of the map is, with x to the east: for GeoJSON.
+    /// Position of the origin of the map on the Earth (WGS 84), degrees and metres; x points east. For
+    /// GeoJSON.
     #[arg(long, value_name = "LAT,LON[,ALT]", value_parser = origin, allow_hyphen_values = true)]
     origin: Option<GeodeticPosition>,
     /// Print JSON.
@@ -63,7 +65,7 @@ fn origin(text: &str) -> Result<GeodeticPosition, String> {
     if origin.is_valid() && altitude.abs() < 1e6 {
         Ok(origin)
     } else {
-        Err(format!("{text} is no place on the Earth"))
+        Err(format!("{text} is not a place on Earth"))
     }
 }
 

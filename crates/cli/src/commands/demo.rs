@@ -26,11 +26,12 @@ const SIZE: [f64; 2] = [26.0, 20.0];
 /// Number of storeys of the museum.
 const STOREYS: usize = 2;
 
-/// Walk through a simulated museum in 3D, map it, and measure the result against the exact truth.
+/// Simulate a walk through a museum in 3D, map it, and evaluate the result against the exact truth.
 ///
 /// A person carries a backpack with two spinning lidars and an IMU through the storeys of a museum, over its
-/// stairs and past its visitors. The recording and its truth are written first, as `portolan simulate` does, then
-/// mapped as any other. Map, trajectory, X-rays from three sides and a section are left in the folder.
+/// stairs and past its visitors. The recording and its truth are written first, as `portolan simulate` does,
+/// then mapped like any other recording. The folder then holds the map, the trajectory, X-rays from three
+/// sides and a section.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  portolan demo\n  portolan demo --seed 7 --seconds 200 -o another\n  \
     portolan demo --planar             an office, and a robot with a planar lidar")]
@@ -38,13 +39,13 @@ pub struct DemoArgs {
     /// Folder for the results.
     #[arg(short, long, value_name = "DIR", default_value = "demo")]
     output: PathBuf,
-    /// Another number is another building.
+    /// Seed of the building, the motion and the noise.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// Length of the walk. Default 100, with --planar 300.
+    /// Length of the recording. Default 100, with --planar 300.
     #[arg(long, value_name = "SECONDS")]
     seconds: Option<f64>,
-    /// An office that a robot drives through with a planar lidar and wheels, instead.
+    /// Simulate a robot with a planar lidar and wheels in an office instead.
     #[arg(long)]
     planar: bool,
 }

@@ -10,7 +10,7 @@ mod trajectory;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 
-/// Measure a map or a trajectory against relations or against the truth.
+/// Evaluate maps, trajectories and clouds against relations or the truth.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  \
     portolan evaluate relations aces.pbstream aces.relations\n  \

@@ -7,28 +7,28 @@ use portolan_ingest::{AzimuthTimes, BeamElevation, IngestOptions, RangeNoise, St
 use super::argument::{beam_elevation, range_noise};
 use crate::error::CliError;
 
-/// How points and stamps are taken.
+/// Handling of points and stamps.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct HandlingArgs {
-    /// Robot description whose fixed joints say where the sensors are.
+    /// Robot description (URDF) whose fixed joints give the poses of the sensors.
     #[arg(long, value_name = "FILE")]
     pub urdf: Option<PathBuf>,
-    /// Where the times of the points of clouds come from. On its own: those that were recorded; without any, those of a
-    /// spinning lidar follow from the azimuth. Whether the clouds are de-skewed already is found out, and so is how long
-    /// laser scans take.
-    #[arg(long, alias = "azimuth-times", value_name = "HOW", default_value = "auto")]
+    /// Source of the times of the points of a cloud. By default: the recorded times; if there are none, those
+    /// of a spinning lidar follow from the azimuth. Whether clouds are de-skewed already, and how long a
+    /// laser scan takes, is estimated from the data.
+    #[arg(long, alias = "azimuth-times", value_name = "SOURCE", default_value = "auto")]
     pub point_times: PointTimesArg,
-    /// Raise all beams of the lidar: "auto" by the error of their calibration that motion shows, if it is clear; "off" not
-    /// at all; or by so many degrees. Beams that point too low bend a straight drive.
-    #[arg(long, value_name = "HOW", default_value = "auto", value_parser = beam_elevation, allow_hyphen_values = true)]
+    /// Raise all beams of the lidar: `auto` by their calibration error as estimated from motion, if it is
+    /// significant; `off` not at all; or by this angle, degrees. Beams that point too low bend the trajectory
+    /// of a straight drive.
+    #[arg(long, value_name = "auto|off|DEGREES", default_value = "auto", value_parser = beam_elevation, allow_hyphen_values = true)]
     pub beam_elevation: BeamElevation,
-    /// Noise of the readings of a planar scanner: "auto" as scans tell, or a standard deviation in metres. Noisier ones than
-    /// 0.03 m are smoothed along walls; 0 takes all as they are.
-    #[arg(long, value_name = "NOISE", default_value = "auto", value_parser = range_noise)]
+    /// Range noise of a planar scanner: `auto` estimates it from scans; or its standard deviation, metres.
+    /// Above 0.03 m, readings are smoothed along walls; 0 leaves all unchanged.
+    #[arg(long, value_name = "auto|METRES", default_value = "auto", value_parser = range_noise)]
     pub range_noise: RangeNoise,
-    /// How stamps are taken: a computer that is busy stamps several messages at once, and later than they were
-    /// measured.
-    #[arg(long, value_name = "HOW", default_value = "auto")]
+    /// Handling of stamps. A busy computer stamps several messages at once, later than they were measured.
+    #[arg(long, value_name = "POLICY", default_value = "auto")]
     pub stamps: StampsArg,
 }
 
@@ -49,15 +49,15 @@ impl HandlingArgs {
     }
 }
 
-/// How stamps are taken.
+/// Handling of stamps.
 #[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum StampsArg {
-    /// As they are, unless those of a sensor come in bursts, go back, jitter or make sweeps overlap.
+    /// Keep stamps, unless those of a sensor come in bursts, go back, jitter or make sweeps overlap.
     #[default]
     Auto,
-    /// As they are.
+    /// Keep stamps.
     AsIs,
-    /// From the order of arrival and the usual rate of each sensor.
+    /// Compute stamps from the order of arrival and the usual rate of each sensor.
     Regular,
 }
 
@@ -71,21 +71,21 @@ impl From<StampsArg> for StampPolicy {
     }
 }
 
-/// Where the times of points come from.
+/// Source of the times of points.
 #[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PointTimesArg {
-    /// What fits the clouds.
+    /// Chosen from the clouds.
     #[default]
     Auto,
-    /// The times that were recorded, even if the clouds seem to be de-skewed already.
+    /// Recorded times, even if the clouds seem to be de-skewed already.
     Recorded,
-    /// All points are measured at the stamp: the clouds are de-skewed.
+    /// The stamp, for all points: the clouds are de-skewed.
     Off,
-    /// The azimuth: sweeps begin at the stamp.
+    /// Azimuth; sweeps begin at the stamp.
     FromStamp,
-    /// The azimuth: the stamp is in the middle of the sweep.
+    /// Azimuth; the stamp is in the middle of the sweep.
     AroundStamp,
-    /// The azimuth: sweeps end at the stamp.
+    /// Azimuth; sweeps end at the stamp.
     UntilStamp,
 }
 

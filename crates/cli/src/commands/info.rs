@@ -15,11 +15,12 @@ use crate::error::{CliError, Outcome};
 use crate::input::{must_be_a_file, open_map};
 use crate::output::{print, print_json};
 
-/// Show what recordings and maps hold.
+/// Show the contents of recordings and maps.
 ///
-/// Of a recording: topics with types, counts, rates and frames, what the sensors are like, duration, the tree
-/// of transforms, and what mapping would use of it. Of a map (.pbstream): trajectories with nodes, submaps, path and duration, constraints, grids and extent. The
-/// content of a file says what it is. Exit code 3 if parts of a file could not be read.
+/// Of a recording: topics with types, counts, rates and frames, properties of the sensors, duration, the tree
+/// of transforms, and what mapping would use. Of a map (.pbstream): trajectories with nodes, submaps, path
+/// length and duration, constraints, grids and extent. The kind of a file is recognised by its content. Exit
+/// code 3 if parts of a file could not be read.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  portolan info walk.bag\n  portolan info old.pbstream --options\n  \
     portolan info *.mcap --json\n  portolan info old.pbstream --all | less")]

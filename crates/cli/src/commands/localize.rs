@@ -21,11 +21,15 @@ use crate::interrupt::Saving;
 use crate::output::{counted, make_folder, print_summary};
 use crate::progress::Progress;
 
-/// Find a recording in a saved map, scan by scan: where it was, how sure that is, and when it was lost.
+/// Localise a recording in a saved map, scan by scan: pose, covariance, and the intervals in which it was
+/// lost.
 ///
-/// The place is searched in the whole map; the map's file stays as it is, and memory does not grow with time. Poses of the tracking frame while it was localised are in `poses.tum`; `poses.csv` has every scan with state,
-/// reason and covariance, `path.png` the path in the map coloured by state (green localised, orange uncertain, violet
-/// dots tentative), `changes.geojson` the places that have changed since the map was made, `report.json` the rest. Exit codes: 0 found throughout, 3 found in parts, 4 never found.
+/// Without a start, the pose is searched in the whole map. The map file is not changed, and memory does not
+/// grow with time. `poses.tum` has the poses of the tracking frame while it was localised; `poses.csv` has
+/// every scan with state, reason and covariance; `path.png` shows the path in the map, coloured by state
+/// (green localised, orange uncertain, violet dots tentative); `changes.geojson` has the places that have
+/// changed since the map was made; `report.json` has the rest. Exit codes: 0 localised throughout, 3
+/// localised in parts, 4 never localised.
 #[derive(clap::Args, Clone, Debug)]
 #[command(after_help = "Examples:\n  portolan localize house/map.pbstream today.bag -o today\n  \
     portolan localize house/map.pbstream today.bag --start 3.5,-2,90\n  \
@@ -46,42 +50,48 @@ pub struct LocalizeArgs {
     #[arg(short, long, value_name = "DIR")]
     pub output: Option<PathBuf>,
 
-    /// Where in the map the recording starts: metres and degrees; also X,Y,Z,YAW or X,Y,Z,ROLL,PITCH,YAW. `gnss`: where its
-    /// satellite fixes are, in a map that was made with --gnss; that is also done by itself where both are there. `unknown`: the
-    /// whole map is searched, fixes or not. A wrong start costs seconds: scans have to confirm it.
+    /// Pose in the map at which the recording starts, metres and degrees; also X,Y,Z,YAW or
+    /// X,Y,Z,ROLL,PITCH,YAW. `gnss`: start at the satellite fixes, in a map that was made with --gnss; this
+    /// is the default if the recording has fixes, too. `unknown`: search the whole map, even if there are
+    /// fixes. A start must be confirmed by scans; a wrong one only delays localisation by seconds.
     #[arg(long, value_name = "X,Y,YAW", value_parser = start_argument, allow_hyphen_values = true)]
     pub start: Option<StartArgument>,
 
-    /// Start at a landmark of the map, by its name (a wrong one lists them), heading anywhere. A start like any other.
+    /// Start at the landmark of the map with this name, with unknown heading; an unknown name lists the
+    /// landmarks. Scans must confirm the start, as for --start.
     #[arg(long, value_name = "NAME", conflicts_with_all = ["start", "start_from"])]
     pub start_landmark: Option<String>,
 
-    /// How well the start is known: standard deviations in metres and degrees. Default: 0.5,10; at a landmark 2,180. With fewer
-    /// degrees it heads as the landmark does.
+    /// Standard deviations of the start in metres and degrees. Default: 0.5,10; at a landmark 2,180. METRES
+    /// alone means 10 degrees. Below 180 degrees, the heading at a landmark is assumed to be that of the
+    /// landmark.
     #[arg(long, value_name = "METRES[,DEGREES]", value_parser = start_sigma, allow_hyphen_values = true,
         conflicts_with = "start_from")]
     pub start_sigma: Option<(f64, f64)>,
 
-    /// Write over files in the folder that no earlier `localize` wrote.
+    /// Overwrite files in the folder that were not written by an earlier `localize`.
     #[arg(long)]
     pub force: bool,
 
-    /// Start where an earlier run was localised last: its poses.csv. A start like any other: a wrong one costs seconds.
+    /// Start at the last localised pose of an earlier run: its poses.csv. Scans must confirm the start, as
+    /// for --start.
     #[arg(long, value_name = "POSES.csv", conflicts_with = "start")]
     pub start_from: Option<PathBuf>,
 
-    /// Also write driver.tum, what a robot's driver reads: corrections of the place taken in little by little (smooth), at
-    /// once (immediate), or jumps to another place only when it was confirmed for 2 s (hold).
+    /// Also write driver.tum, poses for the driver of a robot. Corrections are applied gradually (smooth), at
+    /// once (immediate), or gradually except for jumps to another place, which wait for 2 s of confirmation
+    /// (hold).
     #[arg(long, value_name = "POLICY", value_enum)]
     pub jumps: Option<JumpPolicy>,
 
-    /// Also write the map with this recording as one more trajectory, where it was localised without a doubt. The rest of the
-    /// map stays as it is. No file where it was not localised so (exit code 4).
+    /// Also write the map with this recording as one more trajectory, where it was reliably localised. The
+    /// rest of the map is unchanged. If it was nowhere reliably localised, no file is written (exit code 4).
     #[arg(long, value_name = "FILE.pbstream")]
     pub save_map: Option<PathBuf>,
 
-    /// Also write the map brought up to date: what this recording shows to be gone has faded, what is new has appeared, and
-    /// submaps that it covers are replaced, so that the file grows with the area and not with time. May be the map itself.
+    /// Also write the map, updated by this recording: objects that are gone fade, new ones appear, and
+    /// submaps that the recording covers are replaced, so that the file grows with the area and not with
+    /// time. May be the map itself.
     #[arg(long, value_name = "FILE.pbstream", conflicts_with = "save_map")]
     pub update: Option<PathBuf>,
 
@@ -113,7 +123,7 @@ fn start_argument(text: &str) -> Result<StartArgument, String> {
     }
 }
 
-/// What `--jumps` takes.
+/// Values of `--jumps`.
 #[derive(clap::ValueEnum, Clone, Copy, Debug)]
 pub enum JumpPolicy {
     Smooth,
@@ -135,8 +145,8 @@ pub fn run(args: &LocalizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError
     let begin = Instant::now();
     let output = args.output.clone().unwrap_or_else(|| default_folder(&args.recordings[0]));
     let _made = make_folder(&output)?;
-    let mut tell = remarks(global);
-    let folder = OutputFolder::begin(&output, "localize", &LOCALIZED_FILES, args.force, &mut tell)?;
+    let mut observe = remarks(global);
+    let folder = OutputFolder::begin(&output, "localize", &LOCALIZED_FILES, args.force, &mut observe)?;
     let recording = open_all(&args.recordings)?;
     let requested = requested_options(&args.sensors, &args.config)?;
     let request = LocalizeRequest {
@@ -202,7 +212,7 @@ fn saved_map(saved: &SavedMap) -> String {
         SavedMap::Interrupted => return "NO map was written: interrupted\n".to_owned(),
         SavedMap::Written { path, grown } => (path, grown),
     };
-    let nodes = format!("{} of {} nodes were localised without a doubt", grown.trusted_nodes, grown.nodes);
+    let nodes = format!("{} of {} nodes have a trusted pose", grown.trusted_nodes, grown.nodes);
     let what = match &grown.renewal {
         None => format!(
             "{} added, tied to the map by {}",
@@ -210,7 +220,7 @@ fn saved_map(saved: &SavedMap) -> String {
             counted(grown.extension.ties as u64, "constraint", "constraints"),
         ),
         Some(renewal) if renewal.is_nothing() => {
-            "nothing has changed, so that the map stays as it was".to_owned()
+            "nothing has changed in the map, which stays as it was".to_owned()
         }
         Some(renewal) => format!(
             "{:.2} m² appeared, {:.2} m² gone, {:.0} m² new: {} added, {} removed",
@@ -238,11 +248,11 @@ fn start(args: &LocalizeArgs) -> Result<Option<Start>, CliError> {
         let (sigma_metres, sigma_radians) = args.start_sigma.unwrap_or(SIGMAS_AT_LANDMARK);
         return Ok(Some(Start::Landmark { name: name.clone(), sigma_metres, sigma_radians }));
     }
-    let told = match args.start {
+    let start = match args.start {
         Some(StartArgument::At(pose)) => pose,
         _ if args.start_sigma.is_some() => {
             return Err(CliError::Usage(
-                "--start-sigma is of --start X,Y,YAW or --start-landmark: say one of them".to_owned(),
+                "--start-sigma belongs to --start X,Y,YAW or --start-landmark: give one of them".to_owned(),
             ));
         }
         Some(StartArgument::Fixes) => return Ok(Some(Start::Fixes)),
@@ -250,7 +260,7 @@ fn start(args: &LocalizeArgs) -> Result<Option<Start>, CliError> {
         None => return Ok(None),
     };
     let (sigma_metres, sigma_radians) = args.start_sigma.unwrap_or(SIGMAS_AT_POSE);
-    Ok(Some(Start::At(StartPose { map_from_tracking: told, sigma_metres, sigma_radians })))
+    Ok(Some(Start::At(StartPose { map_from_tracking: start, sigma_metres, sigma_radians })))
 }
 
 /// Localises with a progress bar. From the first measurement on there are partial results, so that an interruption saves
@@ -262,7 +272,7 @@ fn localize_with_progress(
     global: &GlobalArgs,
 ) -> Result<LocalizedRecording, JobError> {
     let mut progress = Progress::start("localising", recording.size_bytes(), global.quiet);
-    let mut tell = remarks(global);
+    let mut observe = remarks(global);
     let localized = localize(recording, request, &mut |event| -> ControlFlow<()> {
         if let Event::Localizing { position_bytes, total_bytes, state } = event {
             saving.get_or_insert_with(Saving::begin);
@@ -270,7 +280,7 @@ fn localize_with_progress(
                 progress.update(*position_bytes, *total_bytes, state.to_string());
             }
         }
-        tell(event)
+        observe(event)
     });
     progress.finish();
     localized
@@ -291,7 +301,7 @@ fn summary(localized: &LocalizedRecording, files: &[PathBuf], seconds: f64) -> S
             )
         }
         _ => "NOT found in the map. If you know the place, say \
-              --start X,Y,YAW; it is not believed unless scans fit there"
+              --start X,Y,YAW; it is used only if scans fit there"
             .to_owned(),
     };
     let mut text = format!("{found}\n");
@@ -309,7 +319,7 @@ fn summary(localized: &LocalizedRecording, files: &[PathBuf], seconds: f64) -> S
     match (localized.start_agrees, localized.starts_at_fix) {
         (Some(false), false) => text += "--start is WRONG: the recording starts elsewhere in the map\n",
         (Some(false), true) => text += "the satellite fix is WRONG: the recording is elsewhere in the map\n",
-        (Some(true), true) => text += "where the satellite fix says\n",
+        (Some(true), true) => text += "the start agrees with the satellite fix\n",
         _ => {}
     }
     let last = localized.estimates.last();

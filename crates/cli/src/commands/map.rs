@@ -59,18 +59,20 @@ pub struct MapArgs {
     #[command(flatten)]
     pub cloud: CloudArgs,
 
-    /// Write the trajectory in the times of the map, too (`all_poses.tum`): where stamps came in bursts they are
-    /// not those of the recording, which `trajectory.tum` has.
+    /// Also write the trajectory with the times of the map (`all_poses.tum`). Where stamps came in bursts,
+    /// these are not those of the recording, which `trajectory.tum` has.
     #[arg(long)]
     pub all_poses: bool,
 
-    /// Go on with a run that was cut off, by a power cut for example: the same command, with this. What `map.journal` in
-    /// the folder holds is not computed again; the results are the same as without the cut.
+    /// Resume an interrupted run, for example after a power cut: give the same command with this option.
+    /// Results that are in `map.journal` in the folder are not computed again; the final results are the same
+    /// as without the interruption.
     #[arg(long)]
     pub resume: bool,
 
-    /// Map for as long as you like in one place: of each place the first submap and the newest four stay, the others go with
-    /// their scans, so that memory and time follow the area and not the hours. The trajectory stays whole.
+    /// Lifelong mapping of one area: of each place, the first submap and the newest four are kept, the others
+    /// are dropped with their scans, so that memory and time grow with the area and not with the hours. The
+    /// trajectory stays complete.
     #[arg(long)]
     pub lifelong: bool,
 
@@ -78,19 +80,19 @@ pub struct MapArgs {
     pub cut: CutArgs,
 }
 
-/// Which part of the recording is used.
+/// Part of the recording that is used.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct CutArgs {
-    /// Leave out the first seconds of the recording.
+    /// Skip this many seconds at the start of the recording.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = seconds, allow_negative_numbers = true)]
     pub skip: f64,
 
-    /// Stop after so many seconds of the recording.
+    /// Use only this many seconds of the recording.
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub duration: Option<f64>,
 }
 
-/// Which topics and frames are which sensors; detected automatically.
+/// Topics and frames of the sensors; detected automatically.
 #[derive(clap::Args, Clone, Debug, Default)]
 #[command(next_help_heading = "Sensors (detected automatically)")]
 pub struct SensorArgs {
@@ -112,30 +114,32 @@ pub struct SensorArgs {
     /// Use no IMU.
     #[arg(long, conflicts_with = "imu")]
     pub no_imu: bool,
-    /// Use satellite fixes (sensor_msgs/NavSatFix), as `--set use_nav_sat=true` does. They help on long trajectories outdoors
-    /// that do not come back to where they were. They count by how far they scatter, and not at all where they contradict the map.
+    /// Use satellite fixes (sensor_msgs/NavSatFix), as `--set use_nav_sat=true` does. They help on long
+    /// outdoor trajectories that do not return to earlier places. Fixes are weighted by their scatter and
+    /// rejected where they contradict the map.
     #[arg(long)]
     pub gnss: bool,
-    /// Frame whose motion is wanted: that of the IMU if one is used.
+    /// Frame whose trajectory is estimated. Default: that of the IMU if one is used, else that of the robot
+    /// or the range sensor.
     #[arg(long, value_name = "FRAME")]
     pub tracking_frame: Option<String>,
-    /// Read another topic in place of a name, as in ROS: `--remap scan:=/front/scan`.
+    /// Use another topic in place of a name, as in ROS: `--remap scan:=/front/scan`.
     #[arg(long, value_name = "NAME:=TOPIC")]
     pub remap: Vec<String>,
     #[command(flatten)]
     pub handling: HandlingArgs,
-    /// Move the stamps of a topic, and the times of its points, by seconds, `/points_rear=-0.05`; `check` says how far
-    /// clocks are off. May be given several times.
+    /// Add seconds to the stamps of a topic and to the times of its points: `/points_rear=-0.05`. `portolan
+    /// check` reports offsets of clocks. May be given several times.
     #[arg(long, value_name = "TOPIC=SECONDS", value_parser = time_offset)]
     pub time_offset: Vec<(String, f64)>,
 }
 
-/// What 3D scans are matched to.
+/// Representation of the map that 3D scans are matched to.
 #[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EngineArg {
     /// Planes in voxels.
     Planes,
-    /// Grids of occupancy, as Cartographer does it.
+    /// Occupancy grids, as in Cartographer.
     Grids,
 }
 
@@ -152,15 +156,15 @@ impl From<EngineArg> for Engine {
 #[derive(clap::Args, Clone, Debug, Default)]
 #[command(next_help_heading = "Settings (chosen automatically from the recording)")]
 pub struct ConfigArgs {
-    /// Cartographer configuration in Lua, instead of settings chosen from the recording: its sensors, frames and
-    /// weights. 3D scans are matched to planes all the same; `--engine grids` does as
-    /// Cartographer does.
+    /// Cartographer configuration in Lua: its sensors, frames and weights replace those chosen from the
+    /// recording. 3D scans are still matched to planes; `--engine grids` matches them as Cartographer does.
     #[arg(long, value_name = "FILE.lua")]
     pub config: Option<PathBuf>,
-    /// What 3D scans are matched to. On their own to planes; a Lua configuration gives sensors, frames and weights.
+    /// What 3D scans are matched to. Default: planes, also with a Lua configuration, which gives sensors,
+    /// frames and weights.
     #[arg(long, value_name = "ENGINE")]
     pub engine: Option<EngineArg>,
-    /// Folder to look for included Lua files in; may be given several times.
+    /// Folder to search for included Lua files; may be given several times.
     #[arg(long, value_name = "DIR")]
     pub config_dir: Vec<PathBuf>,
     /// Change one option: `--set pose_graph.constraint_builder.min_score=0.6`.
@@ -270,7 +274,7 @@ pub fn nothing_left(error: CliError, recording: &dyn Recording, cut: &CutArgs) -
     }
     let range = recording.time_range().map_or(0.0, |(first, last)| last.seconds_since(first));
     CliError::Failed(format!(
-        "{} leaves not a single scan that could be used of the {range:.1} s of the recording",
+        "{} leaves no usable scan of the {range:.1} s of the recording",
         cuts.join(" with ")
     ))
 }

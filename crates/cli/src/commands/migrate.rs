@@ -11,8 +11,8 @@ use crate::output::{counted, outcome_of_map, print_json, print_summary};
 
 /// Convert a map (.pbstream) of format version 1 to version 2.
 ///
-/// In 3D the submaps get the histograms that version 2 needs, made from those of their nodes. 2D maps are
-/// taken too; there the versions differ in the header only. A map of version 2 is copied.
+/// In 3D, submaps get the histograms that version 2 needs, computed from those of their nodes. 2D maps are
+/// accepted, too; there the versions differ only in the header. A map of version 2 is copied.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  portolan migrate old.pbstream new.pbstream")]
 pub struct MigrateArgs {
@@ -20,7 +20,7 @@ pub struct MigrateArgs {
     old: PathBuf,
     /// Map of version 2 to write.
     new: PathBuf,
-    /// Leave out submaps that are not finished.
+    /// Leave out unfinished submaps.
     #[arg(long)]
     finished_only: bool,
     /// Print JSON.

@@ -25,7 +25,7 @@ mod simulate;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 
-/// What to do.
+/// Verb to run.
 #[derive(clap::Subcommand)]
 pub enum Command {
     Demo(demo::DemoArgs),

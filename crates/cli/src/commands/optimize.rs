@@ -16,9 +16,9 @@ use crate::input::{is_map, may_be_graph, open_forward};
 
 /// Optimise a pose graph (g2o file) or a map (.pbstream).
 ///
-/// Of g2o files, poses in 2D (VERTEX_SE2) and in 3D (VERTEX_SE3:QUAT) with full information
-/// matrices are taken. The best of several starts is used unless one is named. Maps are optimised from their
-/// own poses, with their constraints and measurements and the options of `--set`.
+/// g2o files may have poses in 2D (VERTEX_SE2) and in 3D (VERTEX_SE3:QUAT), with full information matrices.
+/// The best of several initialisations is used unless --init names one. Maps are optimised from their own
+/// poses, with their constraints, measurements and options, which --set changes.
 ///
 /// Exit code 3 if parts of the graph could not be used.
 #[derive(clap::Args)]
@@ -29,23 +29,23 @@ pub struct OptimizeArgs {
     /// The graph or map.
     #[arg(value_name = "GRAPH_OR_MAP")]
     input: PathBuf,
-    /// File to write, of the same kind.
+    /// File to write, of the same format.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Where to start from.
+    /// Initial poses of a g2o file.
     #[arg(long, value_enum, default_value = "auto")]
     init: Init,
-    /// How edges that do not fit are weighed: none, or huber, cauchy, tukey, geman-mcclure or truncated, with
-    /// a scale in units of √(eᵀΩe) after a colon.
+    /// Robust loss of the edges of a g2o file: none, huber, cauchy, tukey, geman-mcclure or truncated, with a
+    /// scale in units of √(eᵀΩe) after a colon.
     #[arg(long, value_name = "LOSS", value_parser = loss, default_value = "none")]
     loss: Loss,
-    /// Steps at most. Default: 100; for maps what their options say.
+    /// Maximum number of iterations. Default: 100; for maps that of their options.
     #[arg(long, value_name = "N")]
     iterations: Option<u32>,
-    /// How many of the edges that fit worst are listed.
+    /// Number of edges, of maps loop closures, with the largest errors to list.
     #[arg(long, value_name = "N", default_value_t = 10)]
     worst: usize,
-    /// Estimate the condition of the equations.
+    /// Estimate the condition number of the normal equations of a g2o file.
     #[arg(long)]
     condition: bool,
     /// Change an option of the optimisation of maps: `--set pose_graph.optimization_problem.huber_scale=5`.
@@ -58,15 +58,15 @@ pub struct OptimizeArgs {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Init {
-    /// The best of all others after a few steps.
+    /// Best of the others after a few iterations.
     Auto,
-    /// The poses of the file.
+    /// Poses of the file.
     File,
-    /// Measurements followed from number to number.
+    /// Measurements chained along consecutive ids.
     Odometry,
-    /// Measurements followed along the shortest chains.
+    /// Measurements chained along the shortest chains of edges.
     SpanningTree,
-    /// Rotations from linear equations, then positions (chordal relaxation).
+    /// Chordal relaxation: rotations from linear equations, then positions.
     Rotations,
 }
 

@@ -28,16 +28,17 @@ use crate::progress::Progress;
 use points::{OtherSensor, PointArgs, read_points_and};
 use summary::summary;
 
-/// Sharpen a map: bend a trajectory, continuously in time and in all six degrees of freedom, until the points
-/// seen from it fit together.
+/// Refine a trajectory in continuous time (6 DoF) until the point cloud is consistent.
 ///
-/// The trajectory may come from any program: TUM, KITTI, a table, or a map (.pbstream, Portolan's or
-/// Cartographer's). It is that of the frame in which the recording is tracked: the IMU's if there is one, else
-/// the first range sensor's; --tracking-frame names another. Nothing needs to be tuned.
+/// The trajectory may come from any program: TUM, KITTI, a table, or a map (.pbstream of Portolan or
+/// Cartographer). It must be that of the tracking frame, whose name is printed: the frame of the IMU if there
+/// is one, else that of the robot or of the first range sensor; --tracking-frame names another. Nothing needs
+/// to be tuned.
 ///
-/// Written are refined.tum (at the stamps of the input; refined_dense.tum too if those are far apart),
-/// the cloud (refined.ply), report.html (one page with cuts before and after, plots and figures), report.json, and for
-/// a map refined.pbstream with its nodes and submaps moved. Ctrl-C keeps the best so far.
+/// Results are refined.tum (at the stamps of the input; refined_dense.tum too if those are far apart), the
+/// cloud (refined.ply), report.html (one page with sections before and after, plots and figures),
+/// report.json, and for a map refined.pbstream with its nodes and submaps moved. Ctrl-C keeps the best result
+/// so far.
 #[derive(clap::Args, Clone, Debug)]
 #[command(after_help = "Examples:\n  \
     portolan refine --recording walk.bag --trajectory walk.tum -o walk_refined\n  \
@@ -48,34 +49,33 @@ pub struct RefineArgs {
     /// The recording with the raw points; may be given several times, read as one in the order given.
     #[arg(long, required = true, value_name = "RECORDING")]
     recording: Vec<PathBuf>,
-    /// The trajectory to begin with: TUM, KITTI poses, or a table with a line of names.
+    /// Initial trajectory: TUM, KITTI poses, or a table with a header line.
     #[arg(long, value_name = "FILE", required_unless_present = "map", conflicts_with = "map")]
     trajectory: Option<PathBuf>,
-    /// Begin with the trajectory of a map.
+    /// Map whose trajectory is the initial one.
     #[arg(long, value_name = "MAP.pbstream")]
     map: Option<PathBuf>,
-    /// Which trajectory of the map.
+    /// Id of the trajectory of the map.
     #[arg(long, value_name = "ID", default_value_t = 0)]
     trajectory_id: i32,
-    /// Times of KITTI poses, one a line.
+    /// Times of KITTI poses, one per line.
     #[arg(long, value_name = "FILE")]
     times: Option<PathBuf>,
-    /// Added to the stamps of the trajectory, seconds, where its clock is not that of the points. If they seem to
-    /// differ, a warning names what would fit.
+    /// Offset added to the stamps of the trajectory, seconds, if its clock is not that of the points. If they
+    /// seem to differ, a warning suggests an offset.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
     time_offset: f64,
     /// Folder for the results; created if missing.
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Write the input as the result where the refinement made the cloud less sharp and was refused (exit code 4), and
-    /// write over files in the folder that no earlier `refine` wrote.
+    /// Write the input as the result if the refinement made the cloud less sharp and was rejected (exit code
+    /// 4), and overwrite files in the folder that were not written by an earlier `refine`.
     #[arg(long)]
     force: bool,
     #[command(flatten)]
     points: PointArgs,
-    /// Format of the refined cloud (then it is called refined.FORMAT), or its name: `hall.laz`, in the folder for the
-    /// results; a path from the root may lead elsewhere.
-    /// Several with commas.
+    /// Format of the refined cloud, named refined.FORMAT; or its name, `hall.laz`, in the folder of the
+    /// results, or an absolute path. Several are separated by commas.
     #[arg(
         long,
         value_parser = cloud_name,
@@ -87,10 +87,10 @@ pub struct RefineArgs {
     /// Write no cloud.
     #[arg(long)]
     no_cloud: bool,
-    /// Write no report.html and do not judge the clouds for it, which takes a second or two.
+    /// Write no report.html and skip the evaluation of the clouds for it, which takes a second or two.
     #[arg(long)]
     no_report: bool,
-    /// How to refine.
+    /// Refinement method.
     #[arg(long, value_enum, default_value_t = MethodName::Continuous)]
     method: MethodName,
     #[command(flatten)]
@@ -101,10 +101,10 @@ pub struct RefineArgs {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum MethodName {
-    /// Knots a tenth of a second apart and all planes are solved for together, from coarse to fine.
+    /// Knots at intervals of 0.1 s and all planes are estimated together, from coarse to fine.
     Continuous,
-    /// Sections of the trajectory are registered rigidly, then all elements of it are solved for, as published by
-    /// Elseberg, Borrmann, Nüchter and others.
+    /// Sections of the trajectory are registered rigidly, then all its elements are estimated, as published
+    /// by Elseberg, Borrmann, Nüchter and others.
     SemiRigid,
 }
 
@@ -112,34 +112,35 @@ enum MethodName {
 #[derive(clap::Args, Clone, Debug)]
 #[command(next_help_heading = "Semi-rigid method (as published)")]
 struct SemiRigidArgs {
-    /// One element of the trajectory, seconds: a pose is found for each. Default 1/120.
+    /// Duration of an element of the trajectory, seconds: one pose is estimated for each. Default 1/120.
     #[arg(long, value_name = "SECONDS")]
     element: Option<f64>,
-    /// The coarse mode: an element is two sweeps. Sections and the time window last as long as without it.
+    /// Coarse mode: an element is two sweeps. Sections and the time window keep their durations.
     #[arg(long, conflicts_with = "element")]
     coarse: bool,
-    /// A section every so many elements. Default 300.
+    /// Number of elements from one section to the next. Default 300.
     #[arg(long, value_name = "N")]
     interval: Option<usize>,
-    /// Elements on each side of its middle that a section holds. Default 150.
+    /// Number of elements of a section on each side of its middle. Default 150.
     #[arg(long, value_name = "N")]
     half_width: Option<usize>,
-    /// One point is kept in each voxel of this edge, metres. Default 0.1.
+    /// Edge of the voxels in which one point is kept, metres. Default 0.1.
     #[arg(long, value_name = "METRES")]
     voxel: Option<f64>,
-    /// Most iterations of the rigid registration of the sections. Default 20.
+    /// Maximum number of iterations of the rigid registration of the sections. Default 20.
     #[arg(long, value_name = "N")]
     rigid_iterations: Option<usize>,
-    /// Sections with more pairs than this are linked. Default 400.
+    /// Link sections with more point pairs than this. Default 400.
     #[arg(long, value_name = "N")]
     min_pairs: Option<usize>,
-    /// Farthest points of a pair, metres. Default 0.5.
+    /// Maximum distance between the points of a pair, metres. Default 0.5.
     #[arg(long, value_name = "METRES")]
     pair_distance: Option<f64>,
-    /// Only points recorded at least so many elements apart are paired: what was seen a moment ago fits anyway. Default 180.
+    /// Minimum number of elements between paired points: points measured shortly after each other fit anyway.
+    /// Default 180.
     #[arg(long, value_name = "N")]
     time_window: Option<usize>,
-    /// How often sections are made and registered, and elements solved for. Default 1.
+    /// Number of outer iterations: sections are made and registered, then elements estimated. Default 1.
     #[arg(long, value_name = "N")]
     outer_iterations: Option<usize>,
 }
@@ -164,29 +165,31 @@ impl SemiRigidArgs {
     }
 }
 
-/// What the method takes as given.
+/// Parameters of the continuous method.
 #[derive(clap::Args, Clone, Debug)]
 #[command(next_help_heading = "Continuous method (the defaults are meant for every recording)")]
 struct TuningArgs {
-    /// Windows within which the input shows a wall as one sheet, seconds. Longer for slow scanners. Default 2.
+    /// Length of the windows within which the input shows a wall as one sheet, seconds. Longer for slow
+    /// scanners. Default 2.
     #[arg(long, value_name = "SECONDS")]
     window: Option<f64>,
-    /// Time between knots of the result, seconds. Shorter follows faster errors, if there are points enough.
-    /// Default 0.1.
+    /// Time between knots of the result, seconds. A shorter one follows faster errors, if there are enough
+    /// points. Default 0.1.
     #[arg(long, value_name = "SECONDS")]
     knots: Option<f64>,
-    /// How far drift may have moved surfaces apart, metres. Default 2.
+    /// Maximum distance by which drift may have moved surfaces apart, metres. Default 2.
     #[arg(long, value_name = "METRES")]
     reach: Option<f64>,
-    /// Other sensors whose motion counts too. How exact they are is found; a bad one does no harm.
+    /// Also use the motion measured by these sensors. Their accuracy is estimated, and bad ones are
+    /// down-weighted.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "SENSORS")]
     with: Vec<OtherSensor>,
-    /// Solve for places and clocks of all lidars but the first, too. report.json has them with standard deviations;
-    /// what the motion does not determine is named.
+    /// Also estimate extrinsics and time offsets of all lidars but the first; report.json has them with
+    /// standard deviations. Unobservable ones are reported.
     #[arg(long)]
     calibrate: bool,
-    /// Where the result lies as a whole.
-    #[arg(long, value_enum, default_value_t = GaugeName::FirstPose, value_name = "WHERE")]
+    /// Gauge: what determines the pose of the result as a whole.
+    #[arg(long, value_enum, default_value_t = GaugeName::FirstPose, value_name = "GAUGE")]
     gauge: GaugeName,
 }
 
@@ -194,9 +197,9 @@ struct TuningArgs {
 enum GaugeName {
     /// The first pose is that of the input.
     FirstPose,
-    /// The same, and z points up by the IMU.
+    /// The first position and heading are those of the input, and z points up as measured by the IMU.
     Gravity,
-    /// In the frame of the satellite fixes.
+    /// The frame is that of the satellite fixes: z up, the first fix at the origin.
     Fixes,
 }
 
@@ -225,8 +228,8 @@ impl TuningArgs {
             OtherSensor::Odometry => sensors.odometry().is_empty().then_some(("odometry", "odometry")),
             OtherSensor::Fixes => sensors.fixes().is_empty().then_some(("fixes", "satellite fixes")),
         };
-        let told = |(name, what)| format!("--with {name} changed nothing: the recording has no {what}");
-        self.with.iter().filter_map(missing).map(told).collect()
+        let message = |(name, what)| format!("--with {name} changed nothing: the recording has no {what}");
+        self.with.iter().filter_map(missing).map(message).collect()
     }
 
     /// Sensors to read: those of `--with`, and the one that `--gauge` needs.
@@ -289,8 +292,8 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
     args.check_options()?;
     let input = read_input(args, global)?;
     let _made = make_folder(&args.output)?;
-    let mut tell = remarks(global);
-    let output = OutputFolder::begin(&args.output, "refine", &REFINED_FILES, args.force, &mut tell)?;
+    let mut observe = remarks(global);
+    let output = OutputFolder::begin(&args.output, "refine", &REFINED_FILES, args.force, &mut observe)?;
     // Space for trajectory, report and pictures.
     require_room(&args.output, 1 << 20)?;
     let recording = open_all(&args.recording)?;
@@ -331,7 +334,7 @@ pub fn run(args: &RefineArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
 fn cloud_name(text: &str) -> Result<String, String> {
     let name = if text.contains('.') { text.to_owned() } else { format!("refined.{text}") };
     CloudFormat::from_path(Path::new(&name)).map(|_| name).map_err(|_| {
-        format!("\"{text}\" is not ply, pcd, xyz, las, laz or e57, nor a file name that ends so")
+        format!("\"{text}\" is not ply, pcd, xyz, las, laz or e57, nor a file name with such an ending")
     })
 }
 

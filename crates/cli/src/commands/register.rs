@@ -25,15 +25,16 @@ use input::{InputArgs, read_links, read_scans};
 use options::{GlobalMatchingArgs, IcpArgs, LinksName, LoopArgs, SurfacesOf};
 use summary::{ADVICE, text};
 
-/// Register scans: find the pose of each scan in the frame of the first.
+/// Register scans: estimate the pose of each scan in the frame of the first.
 ///
-/// Scans are files of points (PLY, PCD, text, LAS, LAZ, E57, uos), metres, or a folder of uos scans with their first
-/// poses. Each scan is matched with the one before it (--metascan: with all before it), beginning where the correction
-/// of that one puts it; with --close-loops errors are distributed where the trajectory comes back, and with --global all
-/// scans are then matched at once (Lu and Milios in six degrees of freedom).
+/// Scans are files of points (PLY, PCD, text, LAS, LAZ, E57, uos), metres, or a folder of uos scans with
+/// their initial poses. Each scan is matched with the one before it (--metascan: with all before it),
+/// starting from its initial pose with the correction of that one; with --close-loops errors are distributed
+/// where the trajectory returns to an earlier place, and with --global all scans are then matched at once (Lu
+/// and Milios in six degrees of freedom).
 ///
-/// Exit code 4, and no files without --force, if the scans do not overlap or matching did not come to rest; 3 if that is
-/// so of some of several scans.
+/// Exit code 4, and no files without --force, if the scans do not overlap or matching did not converge; 3 if
+/// that is so for some of several scans.
 #[derive(clap::Args, Clone, Debug)]
 #[command(after_help = "Examples:\n  \
     portolan register scan000.ply scan001.ply\n  \
@@ -41,23 +42,24 @@ use summary::{ADVICE, text};
     portolan register hannover1/ --reduce 0.1 --close-loops --global -o together\n  \
     portolan register map.ply scan.ply --guess 10,2,0,0,0,1.57 --json")]
 pub struct RegisterArgs {
-    /// Files of scans, or a folder of uos scans; the first scan stays where it is.
+    /// Files of scans, or a folder of uos scans; the pose of the first scan stays.
     #[arg(required = true, num_args = 1.., value_name = "SCAN")]
     scans: Vec<PathBuf>,
-    /// Where the second scan lies in the first to begin with: x,y,z (metres), roll,pitch,yaw (radians).
+    /// Initial pose of the second scan in the first: x,y,z (metres), roll,pitch,yaw (radians).
     #[arg(long, value_name = "X,Y,Z,R,P,Y", value_parser = pose, allow_hyphen_values = true, conflicts_with = "poses")]
     guess: Option<Rigid3>,
-    /// First poses of all scans, one a line in their order (TUM; the times do not matter).
+    /// Initial poses of all scans, one per line in their order (TUM; times are ignored).
     #[arg(long, value_name = "FILE")]
     poses: Option<PathBuf>,
-    /// Folder for results: poses.tum, a .pose and a .frames for each scan, the joined cloud, pictures from above
-    /// before and after, report.json. Created if missing.
+    /// Folder for results: poses.tum, a .pose and a .frames for each scan, the joined cloud, top views before
+    /// and after, report.json. Created if missing.
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
     /// Format of the joined cloud.
     #[arg(long, value_parser = ["ply", "pcd", "xyz", "las", "laz", "e57"], default_value = "ply", value_name = "FORMAT", requires = "output")]
     cloud: String,
-    /// Write results that cannot be trusted, too, and over files in the folder that no earlier `register` wrote.
+    /// Also write unreliable results, and overwrite files in the folder that were not written by an earlier
+    /// `register`.
     #[arg(long)]
     force: bool,
     #[command(flatten)]
@@ -114,8 +116,8 @@ fn run_on_pool(args: &RegisterArgs, global: &GlobalArgs) -> Result<Outcome, CliE
     let files = match &folder {
         Some(_) if outcome == Outcome::Untrusted && !args.force => Vec::new(),
         Some(folder) => {
-            let mut tell = remarks(global);
-            write_registration(folder, &args.cloud, &scans, &work, &registered, &mut tell)?
+            let mut observe = remarks(global);
+            write_registration(folder, &args.cloud, &scans, &work, &registered, &mut observe)?
         }
         None => Vec::new(),
     };
@@ -142,21 +144,21 @@ fn output_folder(
 
 /// Whether the result is reliable: all of it, part of the scans, or none. Reasons against it are reported.
 fn trusted(work: &Registration, registered: &[Registered], quiet: bool) -> Outcome {
-    let doubtful: Vec<&Registered> = registered.iter().filter(|scan| scan.doubt.is_some()).collect();
+    let untrusted: Vec<&Registered> = registered.iter().filter(|scan| scan.doubt.is_some()).collect();
     let outcome = match &work.global {
         // After global matching a scan no longer depends on its match with the scan before.
         Some(global) if global.converged => Outcome::Done,
         Some(_) => Outcome::Untrusted,
-        None if doubtful.is_empty() => Outcome::Done,
-        None if doubtful.len() + 1 >= registered.len() => Outcome::Untrusted,
+        None if untrusted.is_empty() => Outcome::Done,
+        None if untrusted.len() + 1 >= registered.len() => Outcome::Untrusted,
         None => Outcome::DataLost,
     };
     if outcome != Outcome::Done && !quiet {
-        for scan in doubtful {
+        for scan in untrusted {
             say(&format!("{}: NOT registered: {}", scan.file, scan.doubt.as_deref().unwrap_or_default()));
         }
         if work.global.is_some() {
-            say("the scans were matched all at once, but this did not come to rest");
+            say("the global matching of all scans did not converge");
         }
         say(ADVICE);
     }
@@ -184,9 +186,9 @@ fn unmatched(scans: &Scans, report: &SequenceReport, quiet: bool) -> Result<bool
         let Some(Err(error)) = result else { continue };
         lost += 1;
         if scans.clouds.len() == 2 {
-            let told = format!("{}: {error}", scans.names[index]);
+            let message = format!("{}: {error}", scans.names[index]);
             let is_apart = matches!(error, IcpError::TooFewPairs { .. });
-            return Err(if is_apart { CliError::Untrusted(told) } else { CliError::Failed(told) });
+            return Err(if is_apart { CliError::Untrusted(message) } else { CliError::Failed(message) });
         }
         if !quiet {
             say(&format!("{}: {error}; it was moved with the scan before it", scans.names[index]));
@@ -226,7 +228,7 @@ fn match_globally(
     if !alone.is_empty() && !quiet {
         let names: Vec<&str> = alone.iter().map(|i| scans.names[*i].as_str()).take(5).collect();
         say(&format!(
-            "{} not linked with the first scan in the global matching, which leaves them among themselves: {}{}",
+            "{} not linked with the first scan in the global matching, which matches them only to each other: {}{}",
             counted(alone.len() as u64, "scan is", "scans are"),
             names.join(", "),
             if alone.len() > names.len() { ", …" } else { "" }

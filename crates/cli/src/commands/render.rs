@@ -23,9 +23,9 @@ use crate::progress::say;
 
 /// Draw a map (.pbstream): a picture, or an image with description for ROS.
 ///
-/// `.png` gives a picture with trajectories and a scale, `.pgm` the map that ROS navigation loads, with its
-/// `.yaml` beside it: the same pixels as Cartographer's converter. 3D maps are seen from above, as X-rays.
-/// Exit code 3 if some submaps could not be drawn.
+/// `.png` gives a picture with trajectories and a scale, `.pgm` the map for ROS navigation with its `.yaml`
+/// beside it: the same pixels as Cartographer's converter. 3D maps are seen from above, as X-rays. Exit code
+/// 3 if some submaps could not be drawn.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  portolan render house.pbstream -o house.png --constraints\n  \
     portolan render house.pbstream -o house.pgm --resolution 0.05\n  \
@@ -33,34 +33,34 @@ use crate::progress::say;
 pub struct RenderArgs {
     /// The map.
     map: PathBuf,
-    /// Picture to write; its ending (.png, .pgm) says which kind.
+    /// Picture to write; its ending (.png, .pgm) determines the kind.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Edge of a pixel. Default: 0.05 for .pgm and --grey, otherwise chosen to suit the map.
+    /// Size of a pixel. Default: 0.05 for .pgm and --grey, otherwise chosen to suit the map.
     #[arg(long, value_name = "METRES", value_parser = argument::positive_metres)]
     resolution: Option<f64>,
-    /// Only this rectangle of the map, metres.
+    /// Draw only this rectangle of the map, metres.
     #[arg(long, value_name = "X1,Y1,X2,Y2", value_parser = argument::area, allow_hyphen_values = true)]
     crop: Option<MapArea>,
-    /// Only this submap; may be given several times.
+    /// Draw only this submap; may be given several times.
     #[arg(long, value_name = "TRAJECTORY,INDEX", value_parser = argument::id)]
     submap: Vec<IdInFile>,
-    /// Only this trajectory and its submaps; may be given several times.
+    /// Draw only this trajectory and its submaps; may be given several times.
     #[arg(long, value_name = "ID")]
     trajectory: Vec<i32>,
-    /// Leave trajectories out.
+    /// Do not draw trajectories.
     #[arg(long)]
     no_trajectories: bool,
     /// Draw loop closures as lines from submap to node.
     #[arg(long)]
     constraints: bool,
-    /// A .png with the grey values of the .pgm, nothing drawn over them.
+    /// Write the grey values of the .pgm as .png, with nothing drawn over them.
     #[arg(long, conflicts_with = "constraints")]
     grey: bool,
     /// Largest edge of a picture, pixels.
     #[arg(long, value_name = "PIXELS", default_value_t = 2400)]
     max_edge: usize,
-    /// Write over a .yaml beside the .pgm that was not written with it.
+    /// Overwrite a .yaml beside the .pgm that was not written with it.
     #[arg(long)]
     force: bool,
     /// Print JSON.

@@ -11,9 +11,9 @@ use crate::output::{counted, print_json, print_summary};
 
 /// Save the intact parts of a damaged map (.pbstream).
 ///
-/// Finds whole records in any file, even where sizes or bytes between them are damaged, and writes a map in
-/// which every id is found, every pose is valid and every size is true. What is good is copied byte for
-/// byte. Exit code 3 if data were lost.
+/// Finds intact records in any file, even where sizes or bytes between them are damaged, and writes a map in
+/// which every referenced id exists, every pose is valid and every size is correct. Intact records are copied
+/// byte for byte. Exit code 3 if data were lost.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  portolan check broken.pbstream\n  \
     portolan repair broken.pbstream -o mended.pbstream")]
@@ -73,20 +73,20 @@ fn in_words(repair: Repair) -> &'static str {
             "the pose graph; a new one was made of the local maps, without loop closures"
         }
         Repair::OptionsMade => "options of a trajectory; empty ones were made",
-        Repair::StartDropped => "start of a trajectory relative to one that is not there",
-        Repair::MessageDropped => "message that is none, or there for a second time",
-        Repair::TrajectoryDropped => "trajectory whose id is there twice or negative",
+        Repair::StartDropped => "start of a trajectory relative to a missing one",
+        Repair::MessageDropped => "message that is not valid, or occurs a second time",
+        Repair::TrajectoryDropped => "trajectory whose id occurs twice or is negative",
         Repair::SubmapDropped => "submap that cannot be used",
         Repair::NodeDropped => "node that cannot be used",
-        Repair::SubmapPoseDropped => "pose of a submap that is not there",
-        Repair::NodePoseDropped => "pose of a node that is not there or out of order",
-        Repair::ConstraintDropped => "constraint to something that is not there",
+        Repair::SubmapPoseDropped => "pose of a missing submap",
+        Repair::NodePoseDropped => "pose of a node that is missing or out of order",
+        Repair::ConstraintDropped => "constraint to a missing node or submap",
         Repair::LandmarkDropped => "landmark without a valid pose",
         Repair::SensorDataDropped => "sensor message that is not valid or out of order",
         Repair::PointCloudDropped => "point cloud of a node",
         Repair::HistogramDropped => "histogram that is not finite",
         Repair::CellsMended => "cells of a grid with impossible values, now unknown",
-        Repair::QuaternionNormalised => "rotation made one again",
-        Repair::ImuDerived => "IMU sample put in that agrees with the poses",
+        Repair::QuaternionNormalised => "rotation normalised to length 1",
+        Repair::ImuDerived => "IMU sample added that agrees with the poses",
     }
 }

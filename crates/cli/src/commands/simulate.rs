@@ -18,9 +18,9 @@ use simulated::Simulated;
 
 /// Simulate a tour of a building, in 2D or in 3D, and write the recording with its truth.
 ///
-/// Beside the recording NAME.bag the file NAME.truth.tum (true poses of base_link) is written, and all
-/// fixed surfaces: NAME.walls.csv in 2D, NAME.surfaces.json (exact) and NAME.surfaces.ply (a mesh) in 3D.
-/// The same options give the same bytes.
+/// Beside the recording NAME.bag, NAME.truth.tum (true poses of base_link) is written, and all fixed
+/// surfaces: NAME.walls.csv in 2D, NAME.surfaces.json (exact) and NAME.surfaces.ply (a mesh) in 3D. The same
+/// options give the same bytes.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  portolan simulate -o office.bag\n  \
     portolan simulate warehouse -o night.mcap --seed 7 --minutes 10 --people 0\n  \
@@ -37,7 +37,7 @@ pub struct SimulateArgs {
     /// File for the true trajectory instead of NAME.truth.tum.
     #[arg(long, value_name = "FILE.tum")]
     truth: Option<PathBuf>,
-    /// True poses per second. Default 100, in 3D 200.
+    /// Rate of the true poses. Default 100, in 3D 200.
     #[arg(long, value_name = "HZ")]
     truth_rate: Option<f64>,
     /// File for the surfaces instead of NAME.walls.csv or NAME.surfaces.json.

@@ -61,7 +61,7 @@ pub fn trajectory_errors(estimate: &str, truth: &str) -> serde_json::Value {
 
 /// Maps a recording cut off after these shares of its bytes, and with `flips` bits flipped in several ways. Every
 /// run must end in a map or a named error, and never in half a file.
-pub fn survives_damage(recording: &str, folder: &Path, shares: &[f64], ways: usize, flips: usize) {
+pub fn survives_damage(recording: &str, folder: &Path, shares: &[f64], seeds: usize, flips: usize) {
     let whole = std::fs::read(recording).unwrap();
     let extension = Path::new(recording).extension().unwrap();
     let (damaged, output) = (folder.join("damaged").with_extension(extension), folder.join("results"));
@@ -73,13 +73,13 @@ pub fn survives_damage(recording: &str, folder: &Path, shares: &[f64], ways: usi
     for share in shares {
         map(&whole[..(share * whole.len() as f64) as usize], &format!("cut off at {share}"));
     }
-    for way in 0..ways {
+    for seed in 0..seeds {
         let mut bytes = whole.clone();
         for i in 0..flips {
-            let at = (way * 7919 + i * 104_729) * 31 % bytes.len();
+            let at = (seed * 7919 + i * 104_729) * 31 % bytes.len();
             bytes[at] ^= 1 << (i % 8);
         }
-        map(&bytes, &format!("flipped in way {way}"));
+        map(&bytes, &format!("flipped in way {seed}"));
     }
 }
 

@@ -7,7 +7,7 @@ use std::path::Path;
 use portolan_geometry::Duration;
 use portolan_recording::{LaserScan, Message, RecordedMessage};
 
-use super::witnesses::odometry_that_stands;
+use super::wheels_and_fixes::odometry_that_stands;
 use super::{error_of, map, read, rewritten};
 use crate::common::{portolan_with_code, real, text};
 
@@ -66,7 +66,7 @@ fn a_start_at_speed_is_found_by_a_planar_scanner() {
 }
 
 #[test]
-fn wheels_that_are_never_read_are_not_believed() {
+fn wheels_that_never_move_are_not_used() {
     assert_followed(|scan| odometry_that_stands(&scan).into_iter().chain([scan]).collect());
 }
 
@@ -83,7 +83,7 @@ fn with_gap(recording: &str, is_planar: bool, gap: &Range<usize>, end: usize, ou
 
 /// 2.3 s at 4.5 m/s.
 #[test]
-fn a_planar_scanner_goes_on_in_a_gap() {
+fn tracking_by_a_planar_scanner_continues_after_a_gap() {
     let Some(recording) = real("lidar3d/kitti_0005.bag") else { return };
     let truth = read(&real("lidar3d/kitti_0005.truth.tum").unwrap());
     let folder = tempfile::tempdir().unwrap();
@@ -98,7 +98,7 @@ fn a_planar_scanner_goes_on_in_a_gap() {
 /// After 2.5 s at 13 m/s, or after ten seconds of a walk in 3D (simulated), scans fit nothing until the recording ends half a second
 /// later.
 #[test]
-fn a_recording_that_ends_lost_does_not_look_done() {
+fn a_recording_that_ends_lost_is_reported() {
     for (name, is_planar, gap, end) in [("kitti_0001", true, 20..45, 51), ("walk", false, 100..200, 206)] {
         let Some(recording) = real(&format!("lidar3d/{name}.bag")) else { return };
         let folder = tempfile::tempdir().unwrap();

@@ -44,18 +44,18 @@ impl Execution<'_> {
         std::fs::create_dir(&temporary).unwrap();
         let mut child = self.spawn(&settings.program, folder.path(), &temporary);
         let mut stderr = child.stderr.take().unwrap();
-        let said = std::thread::spawn(move || {
-            let mut said = Vec::new();
-            let _ = stderr.by_ref().take(1 << 20).read_to_end(&mut said);
-            String::from_utf8_lossy(&said).into_owned()
+        let output = std::thread::spawn(move || {
+            let mut output = Vec::new();
+            let _ = stderr.by_ref().take(1 << 20).read_to_end(&mut output);
+            String::from_utf8_lossy(&output).into_owned()
         });
         let status = wait(&mut child);
-        let said = said.join().unwrap();
+        let output = output.join().unwrap();
         let is_done = status.and_then(|status| status.code()) == Some(0);
-        let fault = self.fault(status, &said, folder.path(), &temporary);
+        let fault = self.fault(status, &output, folder.path(), &temporary);
         match fault.or_else(|| results::fault(&settings.program, folder.path(), is_done)) {
             None => Verdict::Right,
-            Some(fault) => Verdict::Wrong(self.describe(&fault, &said, settings)),
+            Some(fault) => Verdict::Wrong(self.describe(&fault, &output, settings)),
         }
     }
 
@@ -78,19 +78,19 @@ impl Execution<'_> {
     fn fault(
         &self,
         status: Option<ExitStatus>,
-        said: &str,
+        output: &str,
         folder: &Path,
         temporary: &Path,
     ) -> Option<String> {
         let Some(status) = status else { return Some(format!("waits for {} s and more", WAITING.as_secs())) };
         let Some(code) = status.code() else { return Some(format!("ended by {status}")) };
-        if said.contains("panicked") {
+        if output.contains("panicked") {
             return Some("a panic".to_owned());
         }
         if !(0..=4).contains(&code) {
             return Some(format!("exit code {code}"));
         }
-        if code == 1 && !said.lines().any(|line| line.starts_with("error: ")) {
+        if code == 1 && !output.lines().any(|line| line.starts_with("error: ")) {
             return Some("it failed without a word".to_owned());
         }
         let is_temporary = |name: &str| name.starts_with(".portolan") || name.ends_with(".part");
@@ -100,8 +100,8 @@ impl Execution<'_> {
         (!left.is_empty()).then(|| format!("left behind: {}", left.join(", ")))
     }
 
-    fn describe(&self, fault: &str, said: &str, settings: &Settings) -> String {
-        let end: String = said.lines().rev().take(3).collect::<Vec<_>>().join(" | ");
+    fn describe(&self, fault: &str, output: &str, settings: &Settings) -> String {
+        let end: String = output.lines().rev().take(3).collect::<Vec<_>>().join(" | ");
         if let Some(keep) = &settings.keep {
             std::fs::create_dir_all(keep).unwrap();
             std::fs::write(keep.join(format!("{}-{}", self.number, self.sample.name)), self.bytes).unwrap();

@@ -48,8 +48,8 @@ fn fault_of(program: &Path, file: &Path, is_done: bool) -> Option<String> {
 /// What `check` finds in a map.
 fn findings(program: &Path, file: &Path) -> Option<String> {
     let run = Command::new(program).arg("check").arg(file).stdin(Stdio::null()).output().unwrap();
-    let said = String::from_utf8_lossy(&run.stdout) + String::from_utf8_lossy(&run.stderr);
-    (run.status.code() != Some(0)).then(|| format!("check says {:?}: {said}", run.status.code()))
+    let output = String::from_utf8_lossy(&run.stdout) + String::from_utf8_lossy(&run.stderr);
+    (run.status.code() != Some(0)).then(|| format!("check says {:?}: {output}", run.status.code()))
 }
 
 fn bad_pose(line: &str) -> Option<String> {

@@ -4,7 +4,7 @@ use crate::bounds::Bounds;
 use crate::define::options;
 
 options! {
-    /// Frames, sensors and live output of a robot. In files these keys stand at the top level.
+    /// Frames, sensors and live output of a robot. In files these keys are at the top level.
     BridgeOptions {
         /// Frame of the map. Recorded transforms below it are results of mapping and are not used.
         map_frame: String = "map".to_owned(), "frame", Bounds::ANY;
@@ -20,7 +20,7 @@ options! {
         publish_frame_projected_to_2d: bool = false, "", Bounds::ANY;
         /// Use odometry.
         use_odometry: bool = false, "", Bounds::ANY;
-        /// Use satellite positions.
+        /// Use satellite fixes.
         use_nav_sat: bool = false, "", Bounds::ANY;
         /// Use landmarks.
         use_landmarks: bool = false, "", Bounds::ANY;
@@ -28,8 +28,8 @@ options! {
         num_laser_scans: usize = 0, "topics", Bounds::within(0.0, 1000.0);
         /// Multi-echo laser scans to use: `echoes`, or `echoes_1` … `echoes_n`.
         num_multi_echo_laser_scans: usize = 0, "topics", Bounds::within(0.0, 1000.0);
-        /// Pieces into which each laser scan is cut in time. Raise it for slow scanners on moving
-        /// platforms, together with `num_accumulated_range_data`.
+        /// Number of pieces into which each laser scan is divided in time. Raise it for slow scanners on
+        /// moving platforms, together with `num_accumulated_range_data`.
         num_subdivisions_per_laser_scan: usize = 1, "pieces", Bounds::at_least(1.0);
         /// Point clouds to use: `points2`, or `points2_1` … `points2_n`.
         num_point_clouds: usize = 0, "topics", Bounds::within(0.0, 1000.0);
@@ -41,21 +41,21 @@ options! {
         pose_publish_period_sec: f64 = 5e-3, "s", Bounds::ANY.or_infinite();
         /// Period of publishing trajectories.
         trajectory_publish_period_sec: f64 = 30e-3, "s", Bounds::ANY.or_infinite();
-        /// Share of the range messages that is used. Lower it when mapping falls behind.
+        /// Fraction of the range messages that is used. Lower it when mapping falls behind.
         rangefinder_sampling_ratio: f64 = 1.0, "ratio", Bounds::UNIT;
-        /// Share of the odometry that is used. Lower it when it comes very fast.
+        /// Fraction of the odometry that is used. Lower it when its rate is very high.
         odometry_sampling_ratio: f64 = 1.0, "ratio", Bounds::UNIT;
-        /// Share of the fixed-frame poses (GNSS) that is used.
+        /// Fraction of the fixed-frame poses (GNSS) that is used.
         fixed_frame_pose_sampling_ratio: f64 = 1.0, "ratio", Bounds::UNIT;
-        /// Share of the IMU measurements that is used; lower it only when they come very fast.
+        /// Fraction of the IMU measurements that is used; lower it only when their rate is very high.
         imu_sampling_ratio: f64 = 1.0, "ratio", Bounds::UNIT;
-        /// Share of the landmarks that is used.
+        /// Fraction of the landmarks that is used.
         landmarks_sampling_ratio: f64 = 1.0, "ratio", Bounds::UNIT;
         /// Publish transforms.
         publish_to_tf: bool = true, "", Bounds::ANY => optional;
         /// Publish the pose of the tracking frame as a message.
         publish_tracked_pose: bool = false, "", Bounds::ANY => optional;
-        /// Publish poses predicted for now instead of the last matched one.
+        /// Publish poses predicted to the current time instead of the last matched one.
         use_pose_extrapolator: bool = true, "", Bounds::ANY => optional;
         /// Expect IMU, odometry and range messages that are not newer than the last one of their sensor.
         /// They are always skipped and counted; turned on, they do not count as lost data.

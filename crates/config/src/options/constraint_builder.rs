@@ -8,26 +8,27 @@ use crate::bounds::Bounds;
 use crate::define::options;
 
 options! {
-    /// Which nodes are matched against which submaps, and what a found constraint weighs.
+    /// Which nodes are matched against which submaps, and the weights of the constraints.
     ConstraintBuilderOptions {
-        /// Share of the nodes near a submap that are matched against it. Raise it to find more loop
+        /// Fraction of the nodes near a submap that are matched against it. Raise it to find more loop
         /// closures, lower it when mapping falls behind the sensor.
         sampling_ratio: f64 = 0.3, "ratio", Bounds::UNIT;
-        /// Nodes farther than this from the origin of a submap, or in 3D with planes from all places where its nodes
-        /// were taken, are not matched against it (search in a window only). Raise it for scanners with a long range.
+        /// Nodes farther than this from the origin of a submap, or in 3D with planes from the positions of
+        /// all its nodes, are not matched against it (search in a window only). Raise it for scanners with a
+        /// long range.
         max_constraint_distance: f64 = 15.0, "m", Bounds::at_least(0.0).or_infinite();
-        /// Least score of a match in a window; in 3D with planes the least fraction of its points on planes, where
-        /// nearly all points are in the submaps of their own, and less where fewer are. Raise it against wrong loop closures, lower it when true
-        /// ones are missed.
+        /// Minimum score of a match in a window; in 3D with planes, minimum fraction of the points of a scan
+        /// on planes, if nearly all points of scans are on the planes of their own submaps, and less if fewer
+        /// are. Raise it against wrong loop closures, lower it when true ones are missed.
         min_score: f64 = 0.55, "score", Bounds::UNIT;
-        /// Least score of a match against a whole submap, or where a search of the whole map proposes it in 3D. Raise it when relocalisation lands in the wrong
-        /// place.
+        /// Minimum score of a match against a whole submap, or in 3D at a pose proposed by a search of the
+        /// whole map. Raise it when relocalisation finds wrong places.
         global_localization_min_score: f64 = 0.6, "score", Bounds::UNIT;
         /// Weight of the translation of a loop closure. Raise it when loops do not close fully.
         loop_closure_translation_weight: f64 = 1.1e4, "weight", Bounds::at_least(0.0);
         /// Weight of the rotation of a loop closure. Raise it when loops do not close fully.
         loop_closure_rotation_weight: f64 = 1e5, "weight", Bounds::at_least(0.0);
-        /// Log every constraint that was found and histograms of the scores.
+        /// Log every constraint found, and histograms of the scores.
         log_matches: bool = true, "", Bounds::ANY;
         /// The search in 2D.
         fast_correlative_scan_matcher: FastCorrelativeScanMatcher2dOptions =

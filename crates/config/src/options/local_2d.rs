@@ -10,23 +10,24 @@ use crate::define::options;
 options! {
     /// Local SLAM in 2D: from range data to scans inserted into submaps.
     TrajectoryBuilder2dOptions {
-        /// Expect an IMU, for gravity and for turning between scans. Turn it off when there is none.
+        /// Expect an IMU, for gravity and for the rotation between scans. Turn it off when there is none.
         use_imu_data: bool = true, "", Bounds::ANY;
         /// Returns nearer than this are dropped. Raise it when the scanner sees its own platform.
         min_range: f32 = 0.0, "m", Bounds::at_least(0.0);
         /// Returns farther than this count as free space only. Lower it when far returns are noisy.
         max_range: f32 = 30.0, "m", Bounds::above(0.0).or_infinite();
-        /// Points below this height are dropped after levelling. Raise it when the floor is seen.
+        /// Points below this height are dropped after levelling. Raise it when the scanner sees the floor.
         min_z: f32 = -0.8, "m", Bounds::ANY.or_infinite();
-        /// Points above this height are dropped after levelling. Lower it when the ceiling is seen.
+        /// Points above this height are dropped after levelling. Lower it when the scanner sees the ceiling.
         max_z: f32 = 2.0, "m", Bounds::ANY.or_infinite();
-        /// How far free space is drawn along rays beyond `max_range`. Raise it to open wide halls, lower
-        /// it when missing returns are not free space (black or glass surfaces).
+        /// Length of the free space that is inserted along rays that exceed `max_range`. Raise it to open
+        /// wide halls, lower it when missing returns are not free space (black or glass surfaces).
         missing_data_ray_length: f32 = 5.0, "m", Bounds::at_least(0.0);
-        /// Range messages gathered to one scan. Raise it when a turn of the scanner comes in pieces.
+        /// Number of range messages accumulated to one scan. Raise it when a revolution of the scanner is
+        /// split over several messages.
         num_accumulated_range_data: usize = 1, "messages", Bounds::at_least(1.0);
-        /// Edge of the voxels of which one point each is kept first. Raise it for speed with dense
-        /// scanners.
+        /// Edge of the voxels of the first filter, which keeps one point in each. Raise it for speed with
+        /// dense scanners.
         voxel_filter_size: f32 = 0.025, "m", Bounds::above(0.0);
         /// Thinning of the cloud used for scan matching.
         adaptive_voxel_filter: AdaptiveVoxelFilterOptions = AdaptiveVoxelFilterOptions::default();
@@ -39,8 +40,8 @@ options! {
         /// The search around the prediction that `use_online_correlative_scan_matching` turns on.
         real_time_correlative_scan_matcher: RealTimeCorrelativeScanMatcherOptions =
             RealTimeCorrelativeScanMatcherOptions::default();
-        /// The match of a scan with the submap, by least squares from the prediction or from what the search
-        /// around it found.
+        /// The match of a scan with the submap, by least squares from the prediction or from the result of
+        /// the search around it.
         ceres_scan_matcher: CeresScanMatcher2dOptions = CeresScanMatcher2dOptions::default();
         /// Which scans become nodes and are inserted into submaps.
         motion_filter: MotionFilterOptions = MotionFilterOptions::default();
@@ -48,7 +49,7 @@ options! {
         imu_gravity_time_constant: f64 = 10.0, "s", Bounds::above(0.0);
         /// Prediction of poses between scan matches; `use_imu_based` must be off in 2D.
         pose_extrapolator: PoseExtrapolatorOptions = PoseExtrapolatorOptions::default();
-        /// Submaps: how many scans each gets, what its grid holds, how scans are drawn.
+        /// Submaps: number of scans, kind of grid, insertion of scans.
         submaps: Submaps2dOptions = Submaps2dOptions::default();
     }
 }

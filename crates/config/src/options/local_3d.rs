@@ -17,10 +17,11 @@ options! {
         min_range: f32 = 1.0, "m", Bounds::at_least(0.0);
         /// Returns farther than this are dropped. Raise it for scanners with a longer range outdoors.
         max_range: f32 = MAX_3D_RANGE, "m", Bounds::above(0.0).or_infinite();
-        /// Range messages gathered to one scan. Raise it when a turn of the scanner comes in pieces.
+        /// Number of range messages accumulated to one scan. Raise it when a revolution of the scanner is
+        /// split over several messages.
         num_accumulated_range_data: usize = 1, "messages", Bounds::at_least(1.0);
-        /// Edge of the voxels of which one point each is kept: half of it for each message, all of it for
-        /// the gathered scan. Raise it for speed.
+        /// Edge of the voxels in which one point is kept: half of it for each message, all of it for the
+        /// accumulated scan. Raise it for speed.
         voxel_filter_size: f32 = 0.15, "m", Bounds::above(0.0);
         /// Thinning of the cloud matched against the high-resolution grid.
         high_resolution_adaptive_voxel_filter: AdaptiveVoxelFilterOptions =
@@ -38,8 +39,8 @@ options! {
                 translation_delta_cost_weight: 1e-1,
                 rotation_delta_cost_weight: 1e-1,
             };
-        /// The match of a scan with the submap, by least squares from the prediction or from what the search
-        /// around it found.
+        /// The match of a scan with the submap, by least squares from the prediction or from the result of
+        /// the search around it.
         ceres_scan_matcher: CeresScanMatcher3dOptions = CeresScanMatcher3dOptions::default();
         /// Which scans become nodes and are inserted into submaps.
         motion_filter: MotionFilterOptions =
@@ -51,10 +52,10 @@ options! {
         imu_gravity_time_constant: f64 = 10.0, "s", Bounds::above(0.0);
         /// Prediction of poses between scan matches.
         pose_extrapolator: PoseExtrapolatorOptions = PoseExtrapolatorOptions::default();
-        /// Submaps: how many scans each gets, its two grids, how scans are drawn.
+        /// Submaps: number of scans, the two grids, insertion of scans.
         submaps: Submaps3dOptions = Submaps3dOptions::default();
         /// Match intensities too; every range message must then carry one for each point. Turn it on in
-        /// tunnels and other places without shape.
+        /// tunnels and other places with little geometry.
         use_intensities: bool = false, "", Bounds::ANY;
     }
 }

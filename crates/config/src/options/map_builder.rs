@@ -5,26 +5,27 @@ use crate::bounds::Bounds;
 use crate::define::options;
 
 options! {
-    /// What all trajectories of a map share.
+    /// Options common to all trajectories of a map.
     MapBuilderOptions {
         /// Map in 2D. Exactly one of this and `use_trajectory_builder_3d` must be on.
         use_trajectory_builder_2d: bool = false, "", Bounds::ANY;
         /// Map in 3D. Exactly one of this and `use_trajectory_builder_2d` must be on.
         use_trajectory_builder_3d: bool = false, "", Bounds::ANY;
         /// Threads that search constraints and optimise while local SLAM goes on; never more than there are
-        /// cores. `--threads` wins over it; without either all cores are used. Results do not depend on it.
+        /// cores. `--threads` overrides it; without either all cores are used. Results do not depend on it.
         num_background_threads: usize = 4, "threads", Bounds::within(1.0, 1024.0);
         /// Global SLAM.
         pose_graph: PoseGraphOptions = PoseGraphOptions::default();
-        /// Order the measurements of each trajectory for itself instead of in one queue over all, where a
-        /// silent sensor of one holds up the others. Turn it on for several live robots.
+        /// Bring the measurements of each trajectory into time order separately, instead of in one queue for
+        /// all, in which a silent sensor of one trajectory delays the others. Turn it on for several live
+        /// robots.
         collate_by_trajectory: bool = false, "", Bounds::ANY;
     }
 }
 
 options! {
     /// A map builder that serves several robots over the network. Portolan reads and checks such files and
-    /// has no server itself: of this table only `map_builder` means something to it.
+    /// has no server itself: only `map_builder` of this table has an effect.
     MapBuilderServerOptions {
         /// The map builder that is served.
         map_builder: MapBuilderOptions =

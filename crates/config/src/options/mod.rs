@@ -41,15 +41,15 @@ pub use trajectory_builder::{PureLocalizationTrimmerOptions, TrajectoryBuilderOp
 use crate::define::options;
 
 options! {
-    /// Everything that can be configured: what a robot's Lua file returns.
+    /// All options: the table that the Lua file of a robot returns.
     Options {
-        /// What all trajectories of a map share.
+        /// Options common to all trajectories of a map.
         map_builder: MapBuilderOptions = MapBuilderOptions::default();
         /// One trajectory.
         trajectory_builder: TrajectoryBuilderOptions = TrajectoryBuilderOptions::default();
-        /// Frames, sensors and live output; their keys stand at the top level.
+        /// Frames, sensors and live output; their keys are at the top level.
         bridge: BridgeOptions = BridgeOptions::default() => flattened;
-        /// What only Portolan has.
+        /// Options that only Portolan has.
         portolan: PortolanOptions = PortolanOptions::default() => optional;
     }
 }

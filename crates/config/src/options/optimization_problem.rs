@@ -10,9 +10,9 @@ options! {
         /// Residuals of loop closures and landmarks beyond this count linearly instead of squared. Raise
         /// it to pull harder on distant loops; lower it when single wrong closures bend the map.
         huber_scale: f64 = 1e1, "weighted residual", Bounds::above(0.0);
-        /// 3D: weight of the accelerations measured by the IMU. Raise it when the accelerometer is good.
+        /// In 3D, weight of the accelerations measured by the IMU. Raise it when the accelerometer is good.
         acceleration_weight: f64 = 1.1e2, "weight", Bounds::at_least(0.0);
-        /// 3D: weight of the rotations measured by the IMU. Raise it when the gyroscope is good.
+        /// In 3D, weight of the rotations measured by the IMU. Raise it when the gyroscope is good.
         rotation_weight: f64 = 1.6e4, "weight", Bounds::at_least(0.0);
         /// Weight of the translation that local SLAM found between consecutive nodes (2D, and 3D with
         /// `fix_z_in_3d`). Raise it when scan matching is more reliable than loop closures.
@@ -38,10 +38,10 @@ options! {
         fixed_frame_pose_tolerant_loss_param_b: f64 = 1.0, "squared residual", Bounds::above(0.0);
         /// Log the full report of the solver after each optimisation.
         log_solver_summary: bool = false, "", Bounds::ANY;
-        /// 3D: estimate how the IMU is mounted relative to the tracking frame. Turn it off when the
-        /// mounting is known exactly.
+        /// In 3D, estimate the orientation of the IMU in the tracking frame. Turn it off when the mounting is
+        /// known exactly.
         use_online_imu_extrinsics_in_3d: bool = true, "", Bounds::ANY;
-        /// 3D: keep all heights and use odometry and local SLAM instead of the IMU. Turn it on for robots
+        /// In 3D, keep all heights and use odometry and local SLAM instead of the IMU. Turn it on for robots
         /// on flat floors.
         fix_z_in_3d: bool = false, "", Bounds::ANY;
         /// Solver of the problem.

@@ -22,10 +22,12 @@ options! {
     /// The extrapolator that assumes a constant velocity between scan matches.
     ConstantVelocityPoseExtrapolatorOptions {
         /// Time constant of the low-pass filter that takes gravity out of accelerations. Raise it for
-        /// platforms that accelerate often, lower it when roll and pitch follow too slowly. In 2D it counts
-        /// with `portolan.use_all_odometry = false` alone: else a filter that knows the motion tells level.
+        /// platforms that accelerate often, lower it when roll and pitch follow too slowly. In 2D it has an
+        /// effect only with `portolan.use_all_odometry = false`; otherwise gravity is estimated by a filter
+        /// that takes the motion into account.
         imu_gravity_time_constant: f64 = 10.0, "s", Bounds::above(0.0);
-        /// Velocities are taken from poses over this time. Raise it to smooth them when scans come fast.
+        /// Velocities are computed from poses over this time. Raise it to smooth them when the rate of scans
+        /// is high.
         pose_queue_duration: f64 = 0.001, "s", Bounds::at_least(0.0);
     }
 }

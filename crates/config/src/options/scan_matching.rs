@@ -8,8 +8,8 @@ options! {
     /// The correlative matcher of local SLAM: tries every pose in a window around the prediction.
     RealTimeCorrelativeScanMatcherOptions {
         /// Half width of the window in every direction. Raise it when the prediction is poor (no odometry,
-        /// slow scanner); the cost grows with its square in 2D and its cube in 3D. Windows are cut where a
-        /// search would take more than about two seconds for each scan.
+        /// slow scanner); the cost grows with its square in 2D and its cube in 3D. Windows are limited where
+        /// a search would take more than about two seconds for each scan.
         linear_search_window: f64 = 0.1, "m", Bounds::at_least(0.0);
         /// Half width of the window in rotation. Raise it when rotations are lost between two scans.
         angular_search_window: f64 = 20.0_f64.to_radians(), "rad", Bounds::at_least(0.0);

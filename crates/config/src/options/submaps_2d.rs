@@ -6,12 +6,12 @@ use crate::define::{choices, options};
 options! {
     /// Submaps in 2D.
     Submaps2dOptions {
-        /// Scans after which the next submap is begun; a submap gets twice as many. Raise it for larger
-        /// submaps, which are easier to recognise and drift more within.
+        /// Number of scans after which the next submap is begun; a submap gets twice as many. Raise it for
+        /// larger submaps, which are easier to recognise and drift more within.
         num_range_data: usize = 90, "scans", Bounds::at_least(1.0);
         /// Kind and cell size of the grid.
         grid_options_2d: GridOptions2d = GridOptions2d::default();
-        /// How a scan is drawn into the grid.
+        /// How a scan is inserted into the grid.
         range_data_inserter: RangeDataInserter2dOptions = RangeDataInserter2dOptions::default();
     }
 }
@@ -38,7 +38,7 @@ options! {
 }
 
 choices! {
-    /// What draws scans into a 2D grid.
+    /// How scans are inserted into a 2D grid.
     RangeDataInserterType2d {
         /// Into a probability grid.
         ProbabilityGrid = "PROBABILITY_GRID_INSERTER_2D",
@@ -48,41 +48,42 @@ choices! {
 }
 
 options! {
-    /// How a scan is drawn into a 2D grid.
+    /// How a scan is inserted into a 2D grid.
     RangeDataInserter2dOptions {
         /// Which of the two tables below is used; must fit `grid_type`.
         range_data_inserter_type: RangeDataInserterType2d = RangeDataInserterType2d::ProbabilityGrid, "", Bounds::ANY;
-        /// Drawing into a probability grid.
+        /// Insertion into a probability grid.
         probability_grid_range_data_inserter: ProbabilityGridRangeDataInserter2dOptions =
             ProbabilityGridRangeDataInserter2dOptions::default();
-        /// Drawing into a TSDF.
+        /// Insertion into a TSDF.
         tsdf_range_data_inserter: TsdfRangeDataInserter2dOptions = TsdfRangeDataInserter2dOptions::default();
     }
 }
 
 options! {
-    /// Drawing into a probability grid.
+    /// Insertion into a probability grid.
     ProbabilityGridRangeDataInserter2dOptions {
         /// Mark the cells between sensor and hit as free. Turn it off when rays pass over obstacles.
         insert_free_space: bool = true, "", Bounds::ANY => optional;
-        /// Probability of occupied that one hit stands for. Raise it when few scans see each place, so
-        /// that walls become clear sooner.
+        /// Occupancy probability that one hit stands for. Raise it when few scans see each place, so that
+        /// walls become clear sooner.
         hit_probability: f64 = 0.55, "probability", Bounds::between(0.5, 1.0);
-        /// Probability of occupied that one passing ray stands for. Lower it so that what has moved away
-        /// disappears sooner.
+        /// Occupancy probability that one passing ray stands for. Lower it so that objects that have moved
+        /// away disappear sooner.
         miss_probability: f64 = 0.49, "probability", Bounds::between(0.0, 0.5);
     }
 }
 
 options! {
-    /// Drawing into a TSDF.
+    /// Insertion into a TSDF.
     TsdfRangeDataInserter2dOptions {
-        /// Distances are cut off here, and only cells so near to a surface are changed. Raise it for
-        /// noisy scanners.
+        /// Distances are truncated here, and only cells within this distance of a surface are changed. Raise
+        /// it for noisy scanners.
         truncation_distance: f64 = 0.3, "m", Bounds::above(0.0);
-        /// Most weight a cell can gather. Raise it to average longer, lower it to follow changes.
+        /// Maximum weight of a cell. Raise it to average longer, lower it to follow changes.
         maximum_weight: f64 = 10.0, "weight", Bounds::above(0.0);
-        /// Change the cells between sensor and surface too. Turn it on to remove what has moved away.
+        /// Change the cells between sensor and surface too. Turn it on to remove objects that have moved
+        /// away.
         update_free_space: bool = false, "", Bounds::ANY;
         /// Estimation of surface normals from the scan.
         normal_estimation_options: NormalEstimation2dOptions = NormalEstimation2dOptions::default();
@@ -103,7 +104,7 @@ options! {
 options! {
     /// Estimation of surface normals in 2D.
     NormalEstimation2dOptions {
-        /// Neighbouring points used for one normal. Raise it for noisy scanners.
+        /// Number of neighbouring points used for one normal. Raise it for noisy scanners.
         num_normal_samples: usize = 4, "points", Bounds::at_least(1.0);
         /// Points farther away than this are not neighbours. Raise it for sparse scans.
         sample_radius: f32 = 0.5, "m", Bounds::above(0.0);

@@ -13,10 +13,10 @@ options! {
         trajectory_builder_3d: TrajectoryBuilder3dOptions = TrajectoryBuilder3dOptions::default();
         /// Keep only the newest submaps, to localise in a loaded map; absent: keep all.
         pure_localization_trimmer: Option<PureLocalizationTrimmerOptions> = None;
-        /// Bring fixed-frame poses (GNSS) into time order with the other sensors. Turn it off when they
-        /// come rarely or late.
+        /// Bring fixed-frame poses (GNSS) into time order with the other sensors. Turn it off when they are
+        /// rare or late.
         collate_fixed_frame: bool = true, "", Bounds::ANY;
-        /// Bring landmarks into time order with the other sensors. Turn it on when they come regularly.
+        /// Bring landmarks into time order with the other sensors. Turn it on when they are regular.
         collate_landmarks: bool = false, "", Bounds::ANY;
         /// Thins the odometry that enters the pose graph; absent: all of it enters.
         pose_graph_odometry_motion_filter: Option<MotionFilterOptions> = None;
@@ -26,7 +26,7 @@ options! {
 options! {
     /// Pure localisation: which submaps of the running trajectory are kept.
     PureLocalizationTrimmerOptions {
-        /// Newest submaps to keep. Raise it to remember more of what the loaded map does not show.
+        /// Number of newest submaps to keep. Raise it to keep more of what the loaded map does not show.
         max_submaps_to_keep: usize = 3, "submaps", Bounds::at_least(2.0);
     }
 }

@@ -35,7 +35,7 @@ pub(super) const DAMAGE: Kind = Kind {
 pub(super) const CLOCK_SET: Kind = Kind {
     name: "clock set",
     severity: Severity::Warning,
-    effect: "what was measured before and after is put together as if the robot had stood still in between",
+    effect: "measurements before and after the jump are joined as if the robot had stood still in between",
     to_do: "wait until the clock is set before recording; map one part alone with --skip or --duration",
 };
 
@@ -43,7 +43,7 @@ pub(super) const ODOMETRY_ELSEWHERE: Kind = Kind {
     name: "odometry elsewhere",
     severity: Severity::Error,
     effect: "motion between scans is predicted wrongly: map leaves this odometry out",
-    to_do: "look at its units (metres, radians), at the transform from its frame to the scanner, and whether it is of this robot",
+    to_do: "check its units (metres, radians), the transform from its frame to the scanner, and whether it is of this robot",
 };
 
 pub(super) const SCAN_DURATION: Kind = Kind {
@@ -63,7 +63,7 @@ pub(super) const NOISY: Kind = Kind {
 pub(super) const JITTER: Kind = Kind {
     name: "stamp jitter",
     severity: Severity::Warning,
-    effect: "the motion between scans is predicted and de-skewed for wrong times; map uses the times that the usual rate tells",
+    effect: "the motion between scans is predicted and de-skewed for wrong times; map uses times from the usual rate",
     to_do: "let the driver stamp the time of measurement, not that of arrival",
 };
 
@@ -71,7 +71,7 @@ pub(super) const HELD_BACK: Kind = Kind {
     name: "odometry held back",
     severity: Severity::Warning,
     effect: "odometry stands while the robot moves, and then jumps; map leaves out poses that repeat",
-    to_do: "hand on new poses alone, stamped when they were measured",
+    to_do: "publish only new poses, stamped with their time of measurement",
 };
 
 pub(super) const ASSUMED: Kind = Kind {

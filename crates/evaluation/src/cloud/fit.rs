@@ -87,7 +87,7 @@ mod tests {
     use crate::cloud::{SolidBox, SurfaceErrors};
 
     #[test]
-    fn a_moved_cloud_is_laid_back() {
+    fn a_moved_cloud_is_aligned() {
         let solid = |low, high| SolidBox { low, high };
         let surfaces = TrueSurfaces::boxes(vec![
             solid([-0.2, 0.0, 0.0], [0.0, 8.0, 3.0]),

@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn every_figure_tells_the_better_cloud() {
+    fn every_figure_is_better_for_the_better_cloud() {
         let ((sharp, seconds), (blurred, _)) = (room(0.0), room(0.03));
         let judge = |points: &[[f64; 3]]| {
             cloud_quality(

@@ -118,7 +118,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_tree_finds_what_looking_at_all_finds() {
+    fn the_tree_agrees_with_brute_force() {
         let mut random = portolan_numeric::Lcg64::new(3);
         let mut random = || random.uniform();
         let boxes: Vec<SolidBox> = (0..300)

@@ -103,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_wall_that_stood_twice_comes_first() {
+    fn the_wall_that_was_double_comes_first() {
         let mut changes = WallChanges::new(0.5);
         for i in 0..40_000 {
             let random = |k: f64| (f64::from(i) * k).fract();

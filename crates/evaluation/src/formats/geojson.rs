@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_read_is_named() {
+    fn files_that_cannot_be_read_are_named() {
         let error = read_geojson(&b"{\"features\": ["[..], None).unwrap_err().to_string();
         assert!(error.contains("not GeoJSON"), "{error}");
         let text = br#"{"type":"Feature","geometry":{"coordinates":[[1,2],[3,4]]}}"#;

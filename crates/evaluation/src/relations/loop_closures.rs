@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn right_and_wrong_loop_closures_are_told_apart() {
+    fn right_and_wrong_loop_closures_are_distinguished() {
         let nodes: Vec<TimedPose> = (0..30)
             .map(|i| TimedPose { time: Time::from_ticks(i64::from(i)), map_from_tracking: pose(i) })
             .collect();
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn sparse_truth_is_met_at_its_own_times() {
+    fn sparse_truth_is_compared_at_its_own_times() {
         let at = |i: i64| Time::from_ticks(10_000_000 * i);
         let all: Vec<TimedPose> =
             (0..30).map(|i| TimedPose { time: at(i), map_from_tracking: pose((i * i) as u32) }).collect();

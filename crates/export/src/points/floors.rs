@@ -115,8 +115,8 @@ fn spans(trajectory: &[(Time, Rigid3)]) -> Vec<Span> {
 
 fn span(trajectory: &[(Time, Rigid3)], first: usize, end: usize) -> Span {
     let part = &trajectory[first..end];
-    let way = part.windows(2).map(|w| (w[1].1.translation.vector - w[0].1.translation.vector).xy().norm());
-    Span { first, end, z: median(part.iter().map(height).collect()), is_long: way.sum::<f64>() >= SHORT }
+    let steps = part.windows(2).map(|w| (w[1].1.translation.vector - w[0].1.translation.vector).xy().norm());
+    Span { first, end, z: median(part.iter().map(height).collect()), is_long: steps.sum::<f64>() >= SHORT }
 }
 
 /// For each span the index of the first span at its level, directly or through a chain of others.
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn floors_are_told_apart_and_stairs_belong_to_both() {
+    fn floors_are_separated_and_stairs_belong_to_both() {
         let walk = walk(&[(0.0, 40), (3.0, 10), (6.0, 50), (0.2, 30)]);
         let floors = detect_floors(&walk).unwrap();
         let second = |s: i64| Time::from_ticks(10_000_000 * s);
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn a_short_way_has_no_floor() {
+    fn a_short_path_is_no_floor() {
         assert!(matches!(detect_floors(&walk(&[(0.0, 10), (5.0, 10)])), Err(PointsError::Floors(_))));
         assert!(matches!(detect_floors(&[]), Err(PointsError::Floors(_))));
     }

@@ -70,7 +70,7 @@ impl RemoveMoving {
         }
     }
 
-    fn stands_still(&self, point: &Point3f) -> bool {
+    fn is_static(&self, point: &Point3f) -> bool {
         let voxel = voxel_of(point, self.voxel_size).and_then(|c| self.voxels.get(&c));
         voxel.is_some_and(|v| f64::from(v.rays) < self.miss_per_hit_limit * f64::from(v.hits))
     }
@@ -85,13 +85,13 @@ impl Stage for RemoveMoving {
                 Ok(false)
             }
             Pass::Filtering => {
-                batch.retain(|p| self.stands_still(p));
+                batch.retain(|p| self.is_static(p));
                 Ok(true)
             }
         }
     }
 
-    fn wants_another_pass(&mut self, log: Log) -> bool {
+    fn needs_another_pass(&mut self, log: Log) -> bool {
         let (next, text) = match self.pass {
             Pass::MarkingHits => (Pass::CountingRays, "Counting rays..."),
             Pass::CountingRays => (Pass::Filtering, "Filtering outliers..."),

@@ -148,7 +148,7 @@ fn grey(path: &Path) -> (u32, u32, Vec<[u8; 3]>) {
 }
 
 #[test]
-fn what_cannot_be_is_an_error_that_says_why() {
+fn impossible_requests_are_errors_with_a_reason() {
     let folder = tempfile::tempdir().unwrap();
     let moving = r#"{ action = "voxel_filter_and_remove_moving_objects", voxel_size = 0.1 }"#;
     for (text, expected) in [
@@ -206,9 +206,9 @@ fn absurd_points_do_no_harm() {
 #[test]
 fn trajectories_are_drawn_and_sensors_coloured() {
     let folder = tempfile::tempdir().unwrap();
-    let way =
+    let trajectory =
         (0..20_i32).map(|i| (Time::from_ticks(i.into()), Rigid3::translation(0.0, f64::from(i - 10), 0.0)));
-    let context = PipelineContext { trajectories: vec![way.collect()], ..context_in(folder.path()) };
+    let context = PipelineContext { trajectories: vec![trajectory.collect()], ..context_in(folder.path()) };
     let text = r#"
         { action = "frame_id_filter", keep_frames = { "f" } },
         { action = "vertical_range_filter", min_z = -1, max_z = 1 },

@@ -129,7 +129,7 @@ impl Ingestion {
 
     /// Whether scans without returns are kept: with a single planar scanner, odometry determines the pose at
     /// their time.
-    fn tells_poses_of_blind_scans(&self) -> bool {
+    fn keeps_blind_scans(&self) -> bool {
         let SensorPlan { dimension, range, odometry, .. } = &self.plan;
         *dimension == Dimension::TwoD && range.len() == 1 && self.subdivisions == 1 && odometry.is_some()
     }
@@ -137,7 +137,7 @@ impl Ingestion {
     fn give_points(&mut self, sensor: &mut Sensor, points: TimedPoints, frame: &str) {
         if points.points.is_empty() {
             self.count(&sensor.topic, points.time, IssueKind::NoDistance, 1);
-            if !self.tells_poses_of_blind_scans() {
+            if !self.keeps_blind_scans() {
                 return;
             }
         }

@@ -67,12 +67,12 @@ pub(super) fn topics_of_scans(inventory: &Inventory, plan: &SensorPlan) -> Vec<A
     topics
 }
 
-/// The sensors of each topic. One topic may serve twice, for example as a pose and as odometry. `in_doubt`:
+/// The sensors of each topic. One topic may serve twice, for example as a pose and as odometry. `disturbed`:
 /// seconds between the messages of topics whose stamps are not trusted from the beginning.
 pub(super) fn sensors(
     plan: &SensorPlan,
     stamps: StampPolicy,
-    in_doubt: &BTreeMap<Arc<str>, f64>,
+    disturbed: &BTreeMap<Arc<str>, f64>,
 ) -> BTreeMap<Arc<str>, Vec<Sensor>> {
     let mut sensors: BTreeMap<Arc<str>, Vec<Sensor>> = BTreeMap::new();
     let mut add = |source: &PlannedSensor, role: Role| {
@@ -80,8 +80,8 @@ pub(super) fn sensors(
         let is_steady = matches!(role, Role::Range { .. } | Role::Imu { .. } | Role::Odometry { .. });
         sensors.entry(source.topic.clone()).or_default().push(Sensor {
             even_stamps: EvenStamps::new(if is_steady { stamps } else { StampPolicy::AsIs })
-                .in_doubt(in_doubt.get(&source.topic).copied())
-                .that_jitter(source.jitter.as_ref()),
+                .with_disturbed_period(disturbed.get(&source.topic).copied())
+                .with_jitter(source.jitter.as_ref()),
             id: source.sensor.clone(),
             topic: source.topic.clone(),
             role,

@@ -22,8 +22,8 @@ pub(super) fn beam_elevation(
             let Some(offset) = offset.filter(ElevationOffset::is_clear) else { return 0.0 };
             plan.note(
                 format!(
-                    "the beams of {} are raised by {:.2}° (sigma {:.2}°): so the ground is flat, however far it is \
-                     seen from",
+                    "the beams of {} are raised by {:.2}° (sigma {:.2}°): with this correction the ground is flat \
+                     at every distance",
                     chosen.topic(),
                     offset.radians.to_degrees(),
                     offset.uncertainty().to_degrees()

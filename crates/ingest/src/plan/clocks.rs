@@ -30,9 +30,9 @@ pub(super) fn join(plan: &mut SensorPlan) {
             source.clock_shift = lag - reference;
             source.usual_lag = Some(reference);
             notices.push(Notice {
- severity: Severity::Info,
+                severity: Severity::Info,
                 what: format!(
-                    "the clock of {} is {difference:.3} s behind the others; its stamps are put right by that",
+                    "the clock of {} is {difference:.3} s behind the others; its stamps are shifted by this",
                     source.topic
                 ),
                 change: String::new(),
@@ -60,7 +60,7 @@ pub(super) fn shift(offsets: &[(String, Duration)], plan: &mut SensorPlan) -> Re
         };
         source.clock_shift = source.clock_shift + *offset;
         source.usual_lag = source.usual_lag.map(|lag| lag - *offset);
-        let what = format!("stamps of {} are moved by {} s", source.topic, offset.seconds());
+        let what = format!("stamps of {} are shifted by {} s", source.topic, offset.seconds());
         plan.note(what, "--time-offset");
     }
     Ok(())

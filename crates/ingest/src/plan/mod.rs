@@ -111,7 +111,7 @@ impl PlannedSensor {
         self.usual_lag = self.usual_lag.map(|lag| lag - delay);
         let direction = if seconds < 0.0 { "earlier" } else { "later" };
         let what = format!(
-            "stamps of {} are moved by {seconds:.3} s (sigma {sigma:.3} s): so much {direction} are those of scans, as \
+            "stamps of {} are shifted by {seconds:.3} s (sigma {sigma:.3} s): those of scans are {direction} by this, as \
              the rotation of both shows",
             self.topic
         );
@@ -283,15 +283,15 @@ impl SensorPlan {
     }
 
     /// Marks the stamps of these topics as jittering, as scans showed, and adds a notice.
-    pub fn doubt_stamps(&mut self, topics: &[Arc<str>], jitter: &StampJitter) {
+    pub fn mark_jitter(&mut self, topics: &[Arc<str>], jitter: &StampJitter) {
         let odometry = self.odometry.as_mut().map(|odometry| &mut odometry.source);
         let sources = self.range.iter_mut().map(|range| &mut range.source).chain(odometry);
         for source in sources.filter(|source| topics.contains(&source.topic)) {
             source.jitter = Some(*jitter);
         }
         let what = format!(
-            "stamps of {} jitter by {:.3} s: scans move more evenly at times that the order of arrival and the usual \
-             rate tell",
+            "stamps of {} jitter by {:.3} s: scans move more evenly at times from the order of arrival and the usual \
+             rate",
             topics.join(" and "),
             jitter.noise.of_stamps
         );
@@ -300,11 +300,11 @@ impl SensorPlan {
 
     /// Warns that odometry repeats poses (`how`) while it moves. Leaves out repeats of up to `longest_hold`
     /// seconds, unless the user wants this odometry (`is_wanted`).
-    pub fn doubt_repeats(&mut self, how: &str, longest_hold: f64, is_wanted: bool) {
+    pub fn reject_repeats(&mut self, how: &str, longest_hold: f64, is_wanted: bool) {
         let Some(odometry) = &self.odometry else { return };
         let name = odometry.name();
         let (so, change) = match is_wanted {
-            true => ("it is used as it is all the same", "--no-odometry".to_owned()),
+            true => ("it is used unchanged all the same", "--no-odometry".to_owned()),
             false => ("poses that repeat are left out", odometry.option()),
         };
         self.warn(format!("the odometry {name} {how}: {so}"), change);
@@ -318,8 +318,8 @@ impl SensorPlan {
         range.scan_duration = Some(seconds);
         let order = if seconds < 0.0 { ", the last beam first" } else { "" };
         let what = format!(
-            "scans of {topic} are taken to last {:.3} s (sigma {sigma:.3} s){order}: so much they are bent where the \
-             robot turns",
+            "scans of {topic} are taken to last {:.3} s (sigma {sigma:.3} s){order}: their distortion where the robot \
+             turns shows this",
             seconds.abs()
         );
         self.note(what, "--point-times recorded");
@@ -343,7 +343,7 @@ impl SensorPlan {
         let Some(imu) = &mut self.imu else { return };
         imu.correction = correction;
         let topic = imu.source.topic.clone();
-        let what = format!("the IMU {topic} {is_mounted}: what it measures is turned by that");
+        let what = format!("the IMU {topic} {is_mounted}: its measurements are rotated by this");
         self.warn(what, format!("--imu {topic}"));
     }
 
@@ -361,7 +361,7 @@ impl SensorPlan {
     }
 
     /// Warns that an IMU does not rotate as the lidar does (`how`), and whether it is used nevertheless.
-    pub fn doubt_imu(&mut self, topic: &str, how: &str, is_used: bool) {
+    pub fn warn_of_imu(&mut self, topic: &str, how: &str, is_used: bool) {
         let (so, change) = match is_used {
             true => ("it is used all the same", "--no-imu".to_owned()),
             false => ("it is left out", format!("--imu {topic}")),
@@ -371,7 +371,7 @@ impl SensorPlan {
 
     /// Warns that odometry does not move as scans do (`how`), and drops it unless the user wants it
     /// (`is_wanted`).
-    pub fn doubt_odometry(&mut self, how: &str, is_mirrored: bool, is_wanted: bool) {
+    pub fn reject_odometry(&mut self, how: &str, is_mirrored: bool, is_wanted: bool) {
         let Some(odometry) = &self.odometry else { return };
         let name = odometry.name();
         let (so, change) = match is_wanted {

@@ -6,7 +6,7 @@ use portolan_geometry::Duration;
 use portolan_sensor::{SensorId, SensorKind};
 
 use super::request::Request;
-use super::robot::{shared_parts, why_apart};
+use super::robot::{reason_apart, shared_parts};
 use super::{Chosen, PlanError, PlannedOdometry, PlannedSensor, SensorPlan, TF};
 use crate::survey::Inventory;
 
@@ -89,7 +89,7 @@ fn find_topic(inventory: &Inventory, plan: &mut SensorPlan) -> bool {
             continue;
         }
         let child = child_frame(&chosen, plan);
-        match why_apart(&inventory.tree, &child, &plan.tracking_frame) {
+        match reason_apart(&inventory.tree, &child, &plan.tracking_frame) {
             None => take(&chosen, &child, plan),
             Some(why) => {
                 let is_connected = inventory.tree.connected(&plan.tracking_frame, &child);

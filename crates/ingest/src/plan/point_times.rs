@@ -86,7 +86,7 @@ fn recorded_or_none(
                 format!(
                     "the points of {topic} have times, but they are de-skewed already ({}): the times are not \
                      used",
-                    told(skew)
+                    described(skew)
                 ),
                 CHANGE,
             );
@@ -96,7 +96,7 @@ fn recorded_or_none(
             plan.note(
                 format!(
                     "the times of the points of {topic} do not fit their motion ({}): are they right?",
-                    told(skew)
+                    described(skew)
                 ),
                 CHANGE,
             );
@@ -107,11 +107,12 @@ fn recorded_or_none(
 
 /// Warns that recorded times are wrong, and reports which times are used.
 fn warn_of_times(chosen: &Chosen, statistics: &RangeStatistics, how: &str, plan: &mut SensorPlan) {
-    let doubt = if statistics.times_in_doubt { "what fits best, but not clearly, is that " } else { "" };
-    let factors = statistics.skew.map_or_else(String::new, told);
+    let caveat =
+        if statistics.times_in_doubt { "the best fit, though not a clear one, is that " } else { "" };
+    let factors = statistics.skew.map_or_else(String::new, described);
     plan.warn(
         format!(
-            "the times of the points of {} do not fit their motion ({factors}): {doubt}{how}",
+            "the times of the points of {} do not fit their motion ({factors}): {caveat}{how}",
             chosen.topic()
         ),
         CHANGE,
@@ -133,22 +134,22 @@ fn by_azimuth_instead(
         .unwrap_or_else(|| AzimuthTimes::of_stamps(chosen.survey.lag, seconds));
     let how = format!(
         "they are taken from the azimuth: sweeps {}{}",
-        by_azimuth.where_stamp_is(),
-        how_it_turns(turn, interval)
+        by_azimuth.describe_stamp(),
+        describe_rotation(turn, interval)
     );
     warn_of_times(chosen, statistics, &how, plan);
     PointTimes { by_azimuth, turn: Some(turn), ..PointTimes::OF_STAMP }
 }
 
 /// Describes the turns of a lidar whose clouds come every `interval` seconds.
-fn how_it_turns(turn: Turn, interval: f64) -> String {
-    let way = if turn.is_clockwise { "clockwise" } else { "counter-clockwise" };
+fn describe_rotation(turn: Turn, interval: f64) -> String {
+    let sense = if turn.is_clockwise { "clockwise" } else { "counter-clockwise" };
     let seconds = turn.in_intervals * interval;
     let missing = match turn.in_intervals < 1.0 {
         true => format!(", and take {seconds:.2} s of the {interval:.2} s between clouds"),
         false => String::new(),
     };
-    format!(", go {way} from azimuth {:.0}°{missing}", turn.begin_radians.to_degrees())
+    format!(", go {sense} from azimuth {:.0}°{missing}", turn.begin_radians.to_degrees())
 }
 
 /// Times by azimuth for the points of a spinning lidar that have none, unless the clouds are de-skewed.
@@ -165,16 +166,16 @@ fn by_azimuth_or_none(
     }
     let lack = if chosen.survey.has_time_field { "times that are all alike" } else { "no times" };
     let state = statistics.skew.map_or(SkewState::Unknown, |skew| skew.state());
-    let told = statistics
+    let described = statistics
         .skew
         .filter(|_| state != SkewState::Unknown)
-        .map_or_else(|| "whether they are de-skewed is not known".to_owned(), told);
+        .map_or_else(|| "whether they are de-skewed is not known".to_owned(), described);
     let is_removed = state == SkewState::Removed
         || (state == SkewState::Partial && statistics.skew.is_some_and(|skew| !skew.is_mostly_raw()));
     if is_removed {
         let how_much = if state == SkewState::Removed { "already" } else { "in part" };
         plan.note(
-            format!("the points of {topic} have {lack}, and they are de-skewed {how_much} ({told})"),
+            format!("the points of {topic} have {lack}, and they are de-skewed {how_much} ({described})"),
             CHANGE,
         );
         return PointTimes::OF_STAMP;
@@ -185,7 +186,7 @@ fn by_azimuth_or_none(
     if turn.is_none() && !statistics.only_stood && !statistics.is_in_firing_order {
         plan.note(
             format!(
-                "the points of {topic} have no times, and neither whether they are de-skewed nor where turns begin is \
+                "the points of {topic} have no times, and neither whether they are de-skewed nor where sweeps begin is \
                  known: all count as measured at the stamp"
             ),
             CHANGE,
@@ -195,19 +196,19 @@ fn by_azimuth_or_none(
     let interval = 1.0 / statistics.rate;
     let seconds = turn.map_or(1.0, |turn| turn.in_intervals) * interval;
     let by_azimuth = AzimuthTimes::of_stamps(chosen.survey.lag, seconds);
-    let when = by_azimuth.where_stamp_is();
-    let how = turn.map_or_else(String::new, |turn| how_it_turns(turn, interval));
+    let when = by_azimuth.describe_stamp();
+    let how = turn.map_or_else(String::new, |turn| describe_rotation(turn, interval));
     plan.note(
         format!(
             "the points of {topic} have {lack}; they get them from their azimuth: sweeps {when}{how} \
-             ({told})"
+             ({described})"
         ),
         CHANGE,
     );
     PointTimes { by_azimuth, turn, ..PointTimes::OF_STAMP }
 }
 
-fn told(skew: Skew) -> String {
+fn described(skew: Skew) -> String {
     let part = |part: SkewFactor| match part.sigma.is_finite() {
         true => format!("{:.2} (sigma {:.2})", part.factor, part.sigma),
         false => "unknown".to_owned(),

@@ -8,7 +8,7 @@ use portolan_sensor::SensorKind;
 use super::beam_elevation::beam_elevation;
 use super::point_times::times_of_points;
 use super::request::Request;
-use super::robot::{upright_frame, why_apart};
+use super::robot::{reason_apart, upright_frame};
 use super::{Chosen, PlanError, PlannedRange, SensorPlan};
 use crate::azimuth_time::AzimuthTimes;
 use crate::options::IngestOptions;
@@ -37,7 +37,7 @@ pub(super) fn choose<'a>(
     let candidates: Vec<&TopicSurvey> =
         inventory.topics.iter().filter(|t| is_range(&t.info.type_name) && t.info.count != Some(0)).collect();
     if candidates.is_empty() {
-        return Err(PlanError::NoRangeSensor { detail: what_there_is(inventory) });
+        return Err(PlanError::NoRangeSensor { detail: describe_topics(inventory) });
     }
     let sensors = without_results(candidates, options, plan);
     let sensors = one_per_frame(sensors, plan);
@@ -45,7 +45,7 @@ pub(super) fn choose<'a>(
     choose_dimension(scans, clouds, inventory, options, plan)
 }
 
-fn what_there_is(inventory: &Inventory) -> String {
+fn describe_topics(inventory: &Inventory) -> String {
     let mut types: Vec<String> =
         inventory.topics.iter().map(|t| format!("{} ({})", t.info.topic, t.info.type_name)).collect();
     types.truncate(20);
@@ -107,7 +107,7 @@ fn without_results<'a>(
 /// Order of topics that hold the same scans processed in several ways, the best first: clouds with times of
 /// points before others, then those with more points in all, then the topic with more messages, the shorter
 /// name, the first by name.
-fn by_rawness(a: &Chosen, b: &Chosen) -> Ordering {
+fn raw_first(a: &Chosen, b: &Chosen) -> Ordering {
     let count = |c: &Chosen| c.survey.info.count.unwrap_or(c.survey.seen);
     let points = |c: &Chosen| {
         let returns = c.survey.range.as_ref().filter(|_| is_cloud(c)).map_or(0, |range| range.returns);
@@ -124,7 +124,7 @@ fn by_rawness(a: &Chosen, b: &Chosen) -> Ordering {
 
 /// Keeps the rawest of several topics of one frame, which are the same scans processed in several ways.
 fn one_per_frame<'a>(sensors: Vec<Chosen<'a>>, plan: &mut SensorPlan) -> Vec<Chosen<'a>> {
-    let better = |a: &Chosen, b: &Chosen| by_rawness(a, b).is_lt();
+    let better = |a: &Chosen, b: &Chosen| raw_first(a, b).is_lt();
     let mut kept: Vec<Chosen> = Vec::new();
     for sensor in sensors {
         let twin = kept.iter_mut().find(|k| {
@@ -281,7 +281,7 @@ fn is_used(
     frame: &str,
     plan: &mut SensorPlan,
 ) -> Result<bool, PlanError> {
-    let Some(why) = why_apart(&inventory.tree, frame, &plan.tracking_frame) else { return Ok(true) };
+    let Some(why) = reason_apart(&inventory.tree, frame, &plan.tracking_frame) else { return Ok(true) };
     let is_connected = inventory.tree.connected(&plan.tracking_frame, frame);
     if request.range.is_empty() {
         let change = match is_connected {

@@ -33,7 +33,7 @@ pub(super) fn are_on_one_robot(tree: &TfTree, a: &str, b: &str) -> bool {
 }
 
 /// Why two frames cannot be used together; none if both are on one robot.
-pub(super) fn why_apart(tree: &TfTree, frame: &str, other: &str) -> Option<String> {
+pub(super) fn reason_apart(tree: &TfTree, frame: &str, other: &str) -> Option<String> {
     if !tree.connected(frame, other) {
         return Some(format!("no transforms connect its frame \"{frame}\" with \"{other}\""));
     }

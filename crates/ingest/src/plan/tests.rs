@@ -106,7 +106,7 @@ fn imu_of(frame: &str, time: f64) -> Message {
 }
 
 #[test]
-fn of_two_robots_in_one_recording_one_is_mapped() {
+fn one_of_two_robots_in_a_recording_is_mapped() {
     let recording = recording(&[
         ("/r1/scan", &|t| scan(t, "r1/laser")),
         ("/r2/scan", &|t| scan(t, "r2/laser")),
@@ -239,7 +239,7 @@ fn odometry_in_transforms_and_results_of_mapping() {
 }
 
 #[test]
-fn the_raw_cloud_is_mapped_and_not_what_programs_made_of_it() {
+fn the_raw_cloud_is_mapped_and_not_processed_ones() {
     let timeless = |t: f64| timeless(t, 0.0);
     let half = |t: f64| {
         let Message::PointCloud2(mut message) = timeless(t) else { panic!() };
@@ -264,7 +264,7 @@ fn the_raw_cloud_is_mapped_and_not_what_programs_made_of_it() {
 }
 
 #[test]
-fn a_lone_scanner_and_nothing_at_all() {
+fn a_lone_scanner_and_an_empty_recording() {
     let lone = recording(&[("/scan", &|t| scan(t, "laser")), ("/odom", &|t| odometry(t, t))]);
     let plan = planned(&lone, &IngestOptions::default()).unwrap();
     assert_eq!((plan.tracking_frame.as_str(), plan.odometry.is_some()), ("laser", false));
@@ -293,7 +293,7 @@ fn clocks_that_are_far_apart_are_joined() {
 }
 
 #[test]
-fn stamps_are_moved_as_somebody_says() {
+fn stamps_are_moved_by_given_time_offsets() {
     let recording = recording(&[("/points", &|t| cloud(t, "lidar")), ("/other", &|t| cloud(t, "lidar"))]);
     let options = |topic: &str| IngestOptions {
         range_topics: vec!["/points".into()],
@@ -342,7 +342,7 @@ fn in_2d_an_imu_whose_axes_are_swapped_is_left_out() {
 }
 
 #[test]
-fn in_3d_an_imu_that_leans_against_the_robot_is_left_out_and_one_in_the_hand_may_lean() {
+fn in_3d_an_imu_tilted_against_the_robot_is_left_out_and_a_handheld_one_may_be_tilted() {
     let with = |acceleration: [f64; 3], robot: &'static str| {
         let recording = recording(&[
             ("/points", &|t| cloud(t, "lidar")),
@@ -373,7 +373,7 @@ fn timeless(seconds: f64, lag: f64) -> Message {
 }
 
 #[test]
-fn clouds_without_times_get_them_from_the_azimuth_unless_told_otherwise() {
+fn clouds_without_times_get_them_from_the_azimuth_unless_disabled() {
     use AzimuthTimes::{Auto, FromStamp, Off, UntilStamp};
     for (lag, asked, expected) in
         [(0.06, Auto, FromStamp), (0.0, Auto, UntilStamp), (0.0, Off, Off), (0.06, UntilStamp, UntilStamp)]
@@ -382,8 +382,8 @@ fn clouds_without_times_get_them_from_the_azimuth_unless_told_otherwise() {
         let options = IngestOptions { azimuth_times: asked, ..IngestOptions::default() };
         let plan = planned(&recording, &options).unwrap();
         assert_eq!(plan.range[0].azimuth_times, expected, "{lag} {asked:?}");
-        let told = plan.notices.iter().any(|n| n.what.contains("from their azimuth"));
-        assert_eq!(told, asked == Auto, "{:?}", plan.notices);
+        let is_noted = plan.notices.iter().any(|n| n.what.contains("from their azimuth"));
+        assert_eq!(is_noted, asked == Auto, "{:?}", plan.notices);
     }
     let with_times = recording(&[("/points", &|t| cloud(t, "lidar"))]);
     let plan_of = |azimuth_times: AzimuthTimes| {

@@ -7,7 +7,7 @@ use portolan_issue::Severity;
 use portolan_sensor::SensorKind;
 
 use super::request::Request;
-use super::robot::{are_on_one_robot, base_frames, shared_parts, upright_frame, why_apart};
+use super::robot::{are_on_one_robot, base_frames, reason_apart, shared_parts, upright_frame};
 use super::{Chosen, ImuScale, PlanError, PlannedImu, SensorPlan};
 use crate::options::IngestOptions;
 use crate::statistics::ImuStatistics;
@@ -73,7 +73,7 @@ pub(super) fn choose_imu<'a>(
             continue;
         }
         let leans = || leaning(&chosen, inventory, range, plan.dimension);
-        match objection(&chosen, inventory, range).or_else(leans) {
+        match reason_against(&chosen, inventory, range).or_else(leans) {
             Some(why) => {
                 let connected = is_connected(&chosen, inventory, range);
                 plan.push_notice(
@@ -114,11 +114,11 @@ fn scale(statistics: &ImuStatistics) -> ImuScale {
 }
 
 /// Reason not to use an IMU that the user did not ask for.
-fn objection(chosen: &Chosen, inventory: &Inventory, range: &[Chosen]) -> Option<String> {
+fn reason_against(chosen: &Chosen, inventory: &Inventory, range: &[Chosen]) -> Option<String> {
     let statistics = chosen.survey.imu.clone().unwrap_or_default();
     let acceleration = statistics.median_acceleration * scale(&statistics).acceleration;
     if statistics.is_partial {
-        return Some("it says that it lacks acceleration or angular velocity".to_owned());
+        return Some("its messages say that acceleration or angular velocity is missing".to_owned());
     }
     if !PLAUSIBLE_GRAVITY.contains(&acceleration) {
         return Some(format!(
@@ -131,7 +131,7 @@ fn objection(chosen: &Chosen, inventory: &Inventory, range: &[Chosen]) -> Option
     if is_connected(chosen, inventory, range) {
         return None;
     }
-    let why = range.first().and_then(|range| why_apart(&inventory.tree, chosen.frame(), range.frame()))?;
+    let why = range.first().and_then(|range| reason_apart(&inventory.tree, chosen.frame(), range.frame()))?;
     Some(format!("{why} (give them with --urdf)"))
 }
 
@@ -205,7 +205,7 @@ pub(super) fn choose_frame(
     if let Some(frame) = tree.frames().find(|f| *f != primary && are_on_one_robot(tree, f, primary)) {
         plan.note(
             format!(
-                "no frame of the recording is known as that of a robot; the motion of \"{primary}\" is mapped"
+                "no frame of the recording has the usual name of a robot frame (base_link, …); the motion of \"{primary}\" is mapped"
             ),
             format!("--tracking-frame {frame}"),
         );
@@ -241,7 +241,7 @@ pub(super) fn connect_imu(
         chosen.frame().to_owned()
     };
     let is_connected = inventory.tree.connected(&tracking, &frame);
-    let why = why_apart(&inventory.tree, &frame, &tracking).filter(|_| !(asked_for && is_connected));
+    let why = reason_apart(&inventory.tree, &frame, &tracking).filter(|_| !(asked_for && is_connected));
     if let Some(why) = why {
         if asked_for {
             let detail = format!("{topic}: {why}; give them with --urdf, or choose another --tracking-frame");

@@ -174,7 +174,7 @@ impl Row {
 /// Begin and direction of the turns: those for which times of points reduce the residuals most significantly.
 pub(super) fn most_likely_turn(pairs: &[&Pair]) -> Option<TurnTimes> {
     let equations = BinEquations::of(pairs)?;
-    let sure = |times: &TurnTimes| equations.step(|phase| times.share_at(phase)).sureness();
+    let sure = |times: &TurnTimes| equations.step(|phase| times.share_at(phase)).significance();
     turns().max_by(|a, b| sure(a).total_cmp(&sure(b)))
 }
 
@@ -182,7 +182,7 @@ pub(super) fn most_likely_turn(pairs: &[&Pair]) -> Option<TurnTimes> {
 pub(super) fn better_turn(pairs: &[&Pair], taken_out: TurnTimes) -> Option<TurnTimes> {
     let equations = BinEquations::of(pairs)?;
     let change = |times: &TurnTimes, phase: f32| times.share_at(phase) - taken_out.share_at(phase);
-    let sure = |times: &TurnTimes| equations.step(|phase| change(times, phase)).sureness();
+    let sure = |times: &TurnTimes| equations.step(|phase| change(times, phase)).significance();
     let best = turns().filter(|t| *t != taken_out).max_by(|a, b| sure(a).total_cmp(&sure(b)))?;
     let step = step_toward(pairs, |phases| change(&best, phases.azimuth))?;
     // One step finds about a third of the factor.
@@ -289,7 +289,7 @@ impl FactorEquations {
 
     /// By how many standard deviations the factors exceed zero, up to a common scale. Negative factors do not
     /// count.
-    fn sureness(&self) -> f64 {
+    fn significance(&self) -> f64 {
         let factors = self.factors();
         let alone =
             |gradient: f64, information: f64| gradient.max(0.0) / information.max(f64::MIN_POSITIVE).sqrt();

@@ -35,9 +35,9 @@ const GATE: f64 = 1.0;
 /// Maximum distance of evaluated points from the surface, metres: the motion displaced them.
 const JUDGED_GATE: f64 = 0.5;
 /// Translations of the first sweep that are tried in each direction, metres.
-const FIRST_WAYS: [f64; 4] = [0.7, 1.4, 2.1, 2.8];
+const FIRST_TRANSLATIONS: [f64; 4] = [0.7, 1.4, 2.1, 2.8];
 /// Distance within which two solutions are the same, metres.
-const SAME_WAY: f64 = 0.2;
+const SAME_TRANSLATION: f64 = 0.2;
 /// Maximum number of solutions that are followed further.
 const CANDIDATES: usize = 6;
 /// Number of sweeps after the first that are used for it.
@@ -224,8 +224,9 @@ fn first_pose(target: &mut Target, sources: &[Vec<(usize, Vector3)>]) -> Option<
         sources.iter().take(1 + AHEAD).map(|s| s.iter().step_by(FEWER).copied().collect()).collect();
     let second = few.get(1)?;
     let directions = [Vector3::x(), -Vector3::x(), Vector3::y(), -Vector3::y()];
-    let ways = FIRST_WAYS.iter().flat_map(|way| directions.map(|direction| direction * *way));
-    let guesses = std::iter::once(Vector3::zeros()).chain(ways);
+    let translations =
+        FIRST_TRANSLATIONS.iter().flat_map(|length| directions.map(|direction| direction * *length));
+    let guesses = std::iter::once(Vector3::zeros()).chain(translations);
     let mut found: Vec<(f64, Rigid3)> = Vec::new();
     for guess in guesses {
         let guess = Rigid3::from_parts(guess.into(), Default::default());
@@ -234,8 +235,9 @@ fn first_pose(target: &mut Target, sources: &[Vec<(usize, Vector3)>]) -> Option<
     found.sort_by(|(a, _), (b, _)| b.total_cmp(a));
     let mut candidates: Vec<(f64, Rigid3)> = Vec::new();
     for (fit, pose) in found {
-        let is_new =
-            |(_, other): &(f64, Rigid3)| (other.inverse() * pose).translation.vector.norm() > SAME_WAY;
+        let is_new = |(_, other): &(f64, Rigid3)| {
+            (other.inverse() * pose).translation.vector.norm() > SAME_TRANSLATION
+        };
         if candidates.iter().all(is_new) && candidates.len() < CANDIDATES {
             candidates.push((fit, pose));
         }

@@ -38,7 +38,7 @@ const CONTRADICTED: f64 = 2.5;
 /// of the motion between clouds; `interval` is the time between clouds, seconds.
 pub(super) fn one_cloud_in(skew: &Skew, interval: f64) -> Option<f64> {
     let possible = ONE_IN.into_iter().filter(|one_in| *one_in <= FASTEST_HZ * interval);
-    told(skew, possible.map(f64::recip), MARGIN).map(f64::recip)
+    common_factor(skew, possible.map(f64::recip), MARGIN).map(f64::recip)
 }
 
 /// Factor by which the times of points must be multiplied. It follows from the skew factors, in units of the
@@ -46,11 +46,11 @@ pub(super) fn one_cloud_in(skew: &Skew, interval: f64) -> Option<f64> {
 /// factors are unknown.
 pub(super) fn scale_of_times(skew: &Skew) -> Option<f64> {
     let is_known = skew.translation.sigma.is_finite() && skew.rotation.sigma.is_finite();
-    told(skew, TIME_SCALES.into_iter(), CLEAR_MARGIN).filter(|_| is_known)
+    common_factor(skew, TIME_SCALES.into_iter(), CLEAR_MARGIN).filter(|_| is_known)
 }
 
 /// The expected value that both factors have, if neither 0 nor 1 is likely.
-fn told(skew: &Skew, expected: impl Iterator<Item = f64>, margin: f64) -> Option<f64> {
+fn common_factor(skew: &Skew, expected: impl Iterator<Item = f64>, margin: f64) -> Option<f64> {
     let (found, least) =
         expected.map(|factor| (factor, misfit(skew, factor))).min_by(|a, b| a.1.total_cmp(&b.1))?;
     (least < LIKELY && misfit(skew, 0.0).min(misfit(skew, 1.0)) > least + margin).then_some(found)
@@ -83,14 +83,14 @@ pub(super) struct FittingTimes {
 
 /// Skew estimated with times by azimuth, where these differ from the recorded ones.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct AzimuthWitness {
+pub(super) struct AzimuthSkew {
     /// Factors in units of the motion with times by azimuth.
     pub skew: Skew,
     /// Expected value of the factors if the recorded times are right.
     pub slope: f64,
 }
 
-impl AzimuthWitness {
+impl AzimuthSkew {
     fn times(&self) -> Times {
         Times::ByAzimuth(self.skew.turn())
     }
@@ -142,22 +142,25 @@ const NONE: Times = Times::Scaled(0.0);
 pub(super) fn times_that_fit(
     skew: &Skew,
     duty: f64,
-    by_azimuth: Option<AzimuthWitness>,
+    by_azimuth: Option<AzimuthSkew>,
     fits: &impl Fits,
 ) -> Option<FittingTimes> {
     // Fits alone do not show that a lidar spins: non-repetitive sweeps hardly show the same surfaces.
-    let by_azimuth = by_azimuth.filter(|witness| is_known(&witness.skew));
+    let by_azimuth = by_azimuth.filter(|azimuth_skew| is_known(&azimuth_skew.skew));
     let scaled = clear_scale(skew, duty, fits);
-    let turned = by_azimuth.and_then(|witness| clear_by_azimuth(&witness, scaled, fits));
+    let turned = by_azimuth.and_then(|azimuth_skew| clear_by_azimuth(&azimuth_skew, scaled, fits));
     if let Some(times) = turned.or(scaled) {
         // If another hypothesis fits better, though not clearly, the question stays open.
-        let is_rivalled = by_azimuth
-            .is_some_and(|witness| turned.is_none() && fits.sigmas_better(times, witness.times()) > 0.0);
+        let is_rivalled = by_azimuth.is_some_and(|azimuth_skew| {
+            turned.is_none() && fits.sigmas_better(times, azimuth_skew.times()) > 0.0
+        });
         if !is_rivalled {
             return Some(FittingTimes { times, is_clear: true });
         }
     }
-    let all = || scales_of_times(duty).map(Times::Scaled).chain(by_azimuth.map(|witness| witness.times()));
+    let all = || {
+        scales_of_times(duty).map(Times::Scaled).chain(by_azimuth.map(|azimuth_skew| azimuth_skew.times()))
+    };
     // Where sweeps carry no information on the motion, as non-repetitive ones, equal times of all points fit
     // best, whichever times are right.
     let is_known = is_known(skew);
@@ -192,15 +195,15 @@ fn clear_scale(skew: &Skew, duty: f64, fits: &impl Fits) -> Option<Times> {
 
 /// Times by azimuth, if they are clearly right: the recorded times are rejected, and the clock of the sweep
 /// then follows from its points.
-fn clear_by_azimuth(witness: &AzimuthWitness, scaled: Option<Times>, fits: &impl Fits) -> Option<Times> {
-    let times = witness.times();
+fn clear_by_azimuth(azimuth_skew: &AzimuthSkew, scaled: Option<Times>, fits: &impl Fits) -> Option<Times> {
+    let times = azimuth_skew.times();
     let evidence = |from: Times| {
         let sigmas = fits.sigmas_better(from, times);
-        witness.misfit(from) - witness.misfit(times) + sigmas * sigmas.abs()
+        azimuth_skew.misfit(from) - azimuth_skew.misfit(times) + sigmas * sigmas.abs()
     };
     let exceeds = |from: Times| evidence(from) > CLEAR_MARGIN;
     let is_clear = exceeds(AS_RECORDED) && exceeds(NONE) && scaled.is_none_or(exceeds);
-    (is_clear && witness.misfit(times) < LIKELY).then_some(times)
+    (is_clear && azimuth_skew.misfit(times) < LIKELY).then_some(times)
 }
 
 #[cfg(test)]
@@ -221,12 +224,12 @@ mod tests {
         }
     }
 
-    fn told(interval: f64, translation: (f64, f64), rotation: (f64, f64)) -> Option<f64> {
+    fn found(interval: f64, translation: (f64, f64), rotation: (f64, f64)) -> Option<f64> {
         one_cloud_in(&skew(translation, rotation), interval)
     }
 
     #[test]
-    fn times_that_are_wrong_by_a_factor_are_told() {
+    fn times_wrong_by_a_factor_are_detected() {
         let unknown = (7.0, f64::INFINITY);
         for (translation, rotation, expected) in [
             ((-1.03, 0.35), (-1.1, 0.17), Some(-1.0)),
@@ -266,12 +269,12 @@ mod tests {
     const BY_AZIMUTH: f64 = 1.0;
 
     #[test]
-    fn fits_tell_where_factors_are_not_clear() {
+    fn fits_decide_where_factors_are_not_clear() {
         let unknown = (-0.8, f64::INFINITY);
-        let told = |translation, rotation, duty, fit, error| {
-            times_that_fit(&skew(translation, rotation), duty, None, &Explained(fit, error)).map(|told| {
-                let Times::Scaled(scale) = told.times else { panic!("{told:?}") };
-                (scale, told.is_clear)
+        let found = |translation, rotation, duty, fit, error| {
+            times_that_fit(&skew(translation, rotation), duty, None, &Explained(fit, error)).map(|found| {
+                let Times::Scaled(scale) = found.times else { panic!("{found:?}") };
+                (scale, found.is_clear)
             })
         };
         let right: fn(f64) -> f64 = |s| -(s - 1.0).abs();
@@ -279,28 +282,28 @@ mod tests {
         let double: fn(f64) -> f64 = |s| -(s - 2.0).abs();
         let nothing: fn(f64) -> f64 = |_| 0.0;
         // Factors are unknown: fits determine the times, or only that they are wrong, or nothing.
-        assert_eq!(told(unknown, unknown, 1.0, back, 0.2), Some((-1.0, true)));
-        assert_eq!(told(unknown, unknown, 1.0, back, 0.7), Some((-1.0, false)));
-        assert_eq!(told(unknown, unknown, 1.0, back, 1.0), None);
-        assert_eq!(told(unknown, unknown, 1.0, right, 0.2), None);
+        assert_eq!(found(unknown, unknown, 1.0, back, 0.2), Some((-1.0, true)));
+        assert_eq!(found(unknown, unknown, 1.0, back, 0.7), Some((-1.0, false)));
+        assert_eq!(found(unknown, unknown, 1.0, back, 1.0), None);
+        assert_eq!(found(unknown, unknown, 1.0, right, 0.2), None);
         let none: fn(f64) -> f64 = |s| -s.abs();
-        assert_eq!(told(unknown, unknown, 1.0, none, 0.2), None);
-        assert_eq!(told((0.3, 0.4), unknown, 1.0, none, 0.3), Some((0.0, false)));
+        assert_eq!(found(unknown, unknown, 1.0, none, 0.2), None);
+        assert_eq!(found((0.3, 0.4), unknown, 1.0, none, 0.3), Some((0.0, false)));
         // Sweeps of half of the interval between clouds: their factors alone are not conclusive, and the fits
         // do not decide.
         let factors = ((1.58, 0.21), (1.64, 0.25));
-        assert_eq!(told(factors.0, factors.1, 0.5, nothing, 1.0), Some((2.0, true)));
-        assert_eq!(told(factors.0, factors.1, 1.0, nothing, 1.0), None);
-        assert_eq!(told(factors.0, factors.1, 1.0, double, 0.3), Some((2.0, true)));
-        assert_eq!(told(factors.0, factors.1, 0.5, right, 0.2), None);
+        assert_eq!(found(factors.0, factors.1, 0.5, nothing, 1.0), Some((2.0, true)));
+        assert_eq!(found(factors.0, factors.1, 1.0, nothing, 1.0), None);
+        assert_eq!(found(factors.0, factors.1, 1.0, double, 0.3), Some((2.0, true)));
+        assert_eq!(found(factors.0, factors.1, 0.5, right, 0.2), None);
     }
 
     #[test]
     fn times_by_azimuth_must_fit_better_than_all_others() {
         let unknown = (7.0, f64::INFINITY);
-        let told = |by_azimuth, slope, fit, error| {
-            let witness = AzimuthWitness { skew: skew(by_azimuth, unknown), slope };
-            times_that_fit(&skew((0.1, 0.2), (0.0, 0.2)), 1.0, Some(witness), &Explained(fit, error))
+        let found = |by_azimuth, slope, fit, error| {
+            let azimuth_skew = AzimuthSkew { skew: skew(by_azimuth, unknown), slope };
+            times_that_fit(&skew((0.1, 0.2), (0.0, 0.2)), 1.0, Some(azimuth_skew), &Explained(fit, error))
         };
         let by_azimuth = |is_clear| {
             let times = Times::ByAzimuth(skew(unknown, unknown).turn());
@@ -308,34 +311,34 @@ mod tests {
         };
         let none: fn(f64) -> f64 = |s| -s.abs();
         // Factors alone, where fits agree; both together; neither. Fits alone do not show that a lidar spins.
-        assert_eq!(told((1.0, 0.1), -0.5, none, 1.0), by_azimuth(true));
-        assert_eq!(told(unknown, 0.0, none, 0.2), Some(FittingTimes { times: NONE, is_clear: false }));
-        assert_eq!(told((0.9, 0.3), 0.0, none, 0.3), by_azimuth(true));
-        assert_eq!(told((0.9, 0.3), 0.0, none, 0.7), by_azimuth(false));
-        assert_eq!(told((0.9, 0.4), 0.0, none, 1.0), None);
+        assert_eq!(found((1.0, 0.1), -0.5, none, 1.0), by_azimuth(true));
+        assert_eq!(found(unknown, 0.0, none, 0.2), Some(FittingTimes { times: NONE, is_clear: false }));
+        assert_eq!(found((0.9, 0.3), 0.0, none, 0.3), by_azimuth(true));
+        assert_eq!(found((0.9, 0.3), 0.0, none, 0.7), by_azimuth(false));
+        assert_eq!(found((0.9, 0.4), 0.0, none, 1.0), None);
         // Points move according to the recorded times.
-        assert_eq!(told((0.5, 0.1), 0.5, |s| 1.0 - (s - 1.0).abs(), 1.0), None);
+        assert_eq!(found((0.5, 0.1), 0.5, |s| 1.0 - (s - 1.0).abs(), 1.0), None);
     }
 
     #[test]
-    fn a_half_and_a_third_are_told_from_all_and_from_nothing() {
+    fn skew_factors_of_a_half_and_a_third_are_distinguished_from_one_and_zero() {
         let unknown = (7.0, f64::INFINITY);
-        assert_eq!(told(0.2, (0.41, 0.09), (0.45, 0.09)), Some(2.0));
-        assert_eq!(told(0.2, unknown, (0.35, 0.04)), Some(3.0));
-        assert_eq!(told(0.1, (0.97, 0.1), (1.01, 0.03)), None);
-        assert_eq!(told(0.1, (0.02, 0.05), unknown), None);
+        assert_eq!(found(0.2, (0.41, 0.09), (0.45, 0.09)), Some(2.0));
+        assert_eq!(found(0.2, unknown, (0.35, 0.04)), Some(3.0));
+        assert_eq!(found(0.1, (0.97, 0.1), (1.01, 0.03)), None);
+        assert_eq!(found(0.1, (0.02, 0.05), unknown), None);
         // Rotation was taken out, translation was not.
-        assert_eq!(told(0.2, (1.0, 0.05), (0.0, 0.05)), None);
+        assert_eq!(found(0.2, (1.0, 0.05), (0.0, 0.05)), None);
         // Anything fits.
-        assert_eq!(told(0.2, (0.5, 0.3), unknown), None);
-        assert_eq!(told(0.2, unknown, unknown), None);
+        assert_eq!(found(0.2, (0.5, 0.3), unknown), None);
+        assert_eq!(found(0.2, unknown, unknown), None);
     }
 
     #[test]
     fn no_lidar_turns_thirty_times_a_second() {
         let third = (0.33, 0.02);
-        assert_ne!(told(0.1, third, third), Some(3.0));
-        assert_eq!(told(0.1, (0.5, 0.03), (0.5, 0.03)), Some(2.0));
-        assert_eq!(told(f64::NAN, third, third), None);
+        assert_ne!(found(0.1, third, third), Some(3.0));
+        assert_eq!(found(0.1, (0.5, 0.03), (0.5, 0.03)), Some(2.0));
+        assert_eq!(found(f64::NAN, third, third), None);
     }
 }

@@ -381,8 +381,12 @@ fn skew(at_none: Step, at_all: Step, largest: Vector2, times: TurnTimes) -> Skew
         let factor = none / slope;
         // Both steps are uncertain, and each shifts the zero in proportion to its weight.
         let sigma = ((1.0 - factor) * of_none).hypot(factor * of_all) / slope.abs();
-        let is_told = slope > 2.0 * of_none.hypot(of_all);
-        SkewFactor { factor, sigma: if is_told { sigma } else { f64::INFINITY }, at_most: largest / slope }
+        let is_observable = slope > 2.0 * of_none.hypot(of_all);
+        SkewFactor {
+            factor,
+            sigma: if is_observable { sigma } else { f64::INFINITY },
+            at_most: largest / slope,
+        }
     };
     Skew {
         translation: part(|both| both.x),

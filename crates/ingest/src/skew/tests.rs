@@ -84,7 +84,7 @@ fn estimated(factor: f64, has_times: bool, motion: impl Fn(f64) -> Rigid3 + Copy
 }
 
 #[test]
-fn raw_clouds_tell_so_and_where_turns_begin() {
+fn raw_clouds_and_the_start_of_sweeps_are_recognised() {
     let skew = estimated(1.0, false, pose).unwrap();
     assert_eq!(skew.state(), SkewState::Raw, "{skew:?}");
     assert!(skew.is_clockwise && (skew.begin_radians.to_degrees() - 90.0).abs() <= 10.0, "{skew:?}");
@@ -93,7 +93,7 @@ fn raw_clouds_tell_so_and_where_turns_begin() {
 }
 
 #[test]
-fn clouds_whose_motion_was_taken_out_tell_so_with_and_without_times() {
+fn deskewed_clouds_are_recognised_with_and_without_times() {
     for has_times in [false, true] {
         let skew = estimated(0.0, has_times, pose).unwrap();
         assert_eq!(skew.state(), SkewState::Removed, "{has_times}: {skew:?}");
@@ -101,14 +101,14 @@ fn clouds_whose_motion_was_taken_out_tell_so_with_and_without_times() {
 }
 
 #[test]
-fn a_part_is_a_part() {
+fn partly_deskewed_clouds_are_recognised() {
     let skew = estimated(0.5, true, pose).unwrap();
     assert!((skew.rotation.factor - 0.5).abs() < 0.1, "{skew:?}");
     assert!(skew.state() == SkewState::Partial, "{skew:?}");
 }
 
 #[test]
-fn every_other_cloud_of_a_lidar_is_known_by_the_motion_in_its_points() {
+fn clouds_of_every_other_sweep_are_recognised_by_the_motion_in_their_points() {
     // Half of the motion between clouds is in the points.
     let skew = estimated(0.5, false, pose).unwrap();
     assert_eq!((skew.state(), skew.turn_in_intervals), (SkewState::Raw, 0.5), "{skew:?}");
@@ -117,7 +117,7 @@ fn every_other_cloud_of_a_lidar_is_known_by_the_motion_in_its_points() {
 }
 
 #[test]
-fn times_that_are_wrong_are_told_and_right_ones_are_left() {
+fn wrong_times_are_detected_and_right_ones_are_kept() {
     for (sense, duty, expected) in
         [(1.0, 1.0, None), (1.0, 1.5, Some(1.0 / 1.5)), (1.0, 0.5, Some(2.0)), (-1.0, 1.0, Some(-1.0))]
     {
@@ -129,9 +129,9 @@ fn times_that_are_wrong_are_told_and_right_ones_are_left() {
         }
         let skew = estimator.skew().unwrap().of_part(duty);
         for spins in [false, true] {
-            let told = estimator.right_times(&skew, duty, spins).map(|told| (told.times, told.is_clear));
+            let right = estimator.right_times(&skew, duty, spins).map(|right| (right.times, right.is_clear));
             let expected = expected.map(|scale| (Times::Scaled(scale), true));
-            assert_eq!(told, expected, "{sense} {duty} {spins}: {skew:?}");
+            assert_eq!(right, expected, "{sense} {duty} {spins}: {skew:?}");
         }
     }
 }
@@ -147,7 +147,7 @@ fn of_another(shares: &mut [f32]) {
 }
 
 #[test]
-fn times_of_other_points_and_of_other_turns_are_told_from_those_of_the_azimuth() {
+fn times_of_other_points_and_sweeps_are_distinguished_from_azimuth_times() {
     let elsewhere = |shift: f32| {
         move |shares: &mut [f32]| {
             shares.iter_mut().for_each(|share| *share = (*share + shift).rem_euclid(1.0));
@@ -163,15 +163,15 @@ fn times_of_other_points_and_of_other_turns_are_told_from_those_of_the_azimuth()
             estimator.add(at(index), &points, Some(&shares));
         }
         let skew = estimator.skew().unwrap();
-        let told = estimator.right_times(&skew, 1.0, true);
-        let Some(RightTimes { times: Times::ByAzimuth(turn), is_clear: true, .. }) = told else {
-            panic!("{case}: {told:?}, {skew:?}")
+        let right = estimator.right_times(&skew, 1.0, true);
+        let Some(RightTimes { times: Times::ByAzimuth(turn), is_clear: true, .. }) = right else {
+            panic!("{case}: {right:?}, {skew:?}")
         };
         let degrees = turn.begin_radians.to_degrees();
         assert!(turn.is_clockwise && (degrees - 90.0).abs() <= 10.0, "{case}: {turn:?}");
         // A lidar that does not spin has no times by azimuth.
-        let told = estimator.right_times(&skew, 1.0, false);
-        assert!(!matches!(told, Some(RightTimes { times: Times::ByAzimuth(_), .. })), "{case}: {told:?}");
+        let right = estimator.right_times(&skew, 1.0, false);
+        assert!(!matches!(right, Some(RightTimes { times: Times::ByAzimuth(_), .. })), "{case}: {right:?}");
     }
 }
 
@@ -196,7 +196,7 @@ fn beams_that_point_too_low_are_found_and_right_ones_are_left() {
 }
 
 #[test]
-fn who_stands_knows_nothing() {
+fn skew_is_unknown_at_rest() {
     assert_eq!(estimated(1.0, false, |_| pose(0.0)), None);
     assert_eq!(estimated(0.0, true, |_| pose(0.0)), None);
 }

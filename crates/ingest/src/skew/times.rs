@@ -5,7 +5,7 @@ use std::f32::consts::TAU;
 
 use super::evidence::{self, TurnTimes};
 use super::follow::{Followed, Sample};
-use super::hypotheses::{self, AzimuthWitness, Fits, FittingTimes, Times};
+use super::hypotheses::{self, AzimuthSkew, Fits, FittingTimes, Times};
 use super::{Judged, Skew, SkewEstimator, SkewState, beams, fit, pairs};
 use crate::beam_elevation::ElevationOffset;
 
@@ -48,11 +48,11 @@ impl SkewEstimator {
             let times = TurnTimes { part: scale * duty, ..TurnTimes::RECORDED };
             fits.0.push((Times::Scaled(scale), times, self.deskewed(times)?));
         }
-        let witness = by_azimuth.map(|(judged, witness)| {
-            fits.0.push((Times::ByAzimuth(witness.skew.turn()), judged.times, judged.deskewed));
-            witness
+        let azimuth_skew = by_azimuth.map(|(judged, azimuth_skew)| {
+            fits.0.push((Times::ByAzimuth(azimuth_skew.skew.turn()), judged.times, judged.deskewed));
+            azimuth_skew
         });
-        let FittingTimes { times, is_clear } = hypotheses::times_that_fit(skew, duty, witness, &fits)?;
+        let FittingTimes { times, is_clear } = hypotheses::times_that_fit(skew, duty, azimuth_skew, &fits)?;
         let elevation = (fits.of(times))
             .filter(|_| is_clear)
             .and_then(|(_, times, followed)| beams::elevation(&self.batches, followed, Some(*times)));
@@ -60,11 +60,11 @@ impl SkewEstimator {
     }
 
     /// Most likely turn, if its times by azimuth differ from the recorded ones.
-    fn other_times_by_azimuth(&self, duty: f64) -> Option<(Judged, AzimuthWitness)> {
+    fn other_times_by_azimuth(&self, duty: f64) -> Option<(Judged, AzimuthSkew)> {
         let judged = self.judged_by_azimuth()?;
         let alike = self.alike(judged.times)?;
-        let witness = AzimuthWitness { skew: judged.skew, slope: alike.slope * duty / judged.times.part };
-        (alike.correlation.abs() < SAME_TIMES).then_some((judged, witness))
+        let azimuth_skew = AzimuthSkew { skew: judged.skew, slope: alike.slope * duty / judged.times.part };
+        (alike.correlation.abs() < SAME_TIMES).then_some((judged, azimuth_skew))
     }
 
     /// State of the skew with times by azimuth; none if they equal the recorded ones, or if azimuths do not

@@ -59,7 +59,7 @@ pub enum TfError {
         origin_root: String,
     },
     /// A moving frame whose pose is not known at that time.
-    #[error("\"{child}\" in \"{parent}\" is known {span} but not at {time}")]
+    #[error("the pose of \"{child}\" in \"{parent}\" is known {span} but not at {time}")]
     NotAtThisTime {
         /// The moving frame.
         child: String,

@@ -36,7 +36,7 @@ fn transforms_chain_across_the_tree_and_time() {
 }
 
 #[test]
-fn faults_are_told_by_name() {
+fn faults_are_named() {
     let mut tree = robot();
     let late = tree.lookup("odom", "laser", at(7)).unwrap_err().to_string();
     assert!(late.contains("\"base_link\" in \"odom\" is known from"), "{late}");

@@ -145,8 +145,8 @@ impl<M: KnownMap> Localizer<M> {
     }
 
     /// The start or satellite fix that was searched around last.
-    pub fn told(&self) -> Option<StartPose> {
-        let (map_from_tracking, (sigma_metres, sigma_radians)) = self.finder.told()?;
+    pub fn searched_start(&self) -> Option<StartPose> {
+        let (map_from_tracking, (sigma_metres, sigma_radians)) = self.finder.searched_start()?;
         Some(StartPose { map_from_tracking, sigma_metres, sigma_radians })
     }
 }

@@ -12,7 +12,7 @@ pub(crate) const CHANGING_SCANS: u16 = 4;
 pub(crate) const CHANGING_FRACTION: f64 = 0.75;
 /// Minimum distance between two viewpoints of the contradicting scans, metres: a person who stands for a
 /// moment is seen from one viewpoint.
-pub(crate) const VIEWPOINTS: f64 = 1.0;
+pub(crate) const VIEWPOINT_DISTANCE: f64 = 1.0;
 /// Standard deviation of the position up to which the contradictions of a scan count in 2D, metres.
 pub(crate) const CERTAIN_PLACE_2D: f64 = 0.08;
 /// Standard deviation of the position up to which the contradictions of a scan count in 3D, metres: less
@@ -58,12 +58,12 @@ pub(crate) const AREA_CELL: f64 = 0.1;
 /// Minimum area unknown to a 2D map that a new submap has to show to be kept, square metres.
 pub(crate) const LEAST_NEW_AREA: f64 = 4.0;
 /// Maximum area that only the removed submap knows, square metres.
-pub(crate) const MOST_ALONE: f64 = 0.1;
+pub(crate) const MAX_AREA_LOST: f64 = 0.1;
 /// Rule by which newer submaps replace older ones in 2D. Two submaps show each place, as in local SLAM.
 pub(crate) const REPLACEMENT_2D: Replacement = Replacement {
     newest: 2,
     least_seen: 2.0,
-    most_alone: MOST_ALONE,
+    most_alone: MAX_AREA_LOST,
     least_share: 0.0,
     most_share_alone: 0.0,
 };
@@ -78,7 +78,7 @@ pub(crate) const REPLACED_FRACTION: f64 = 0.5;
 /// hid its own interior.
 pub(crate) const AROUND_CHANGED: f64 = 0.5;
 /// Distance from cells that are gone within which points of older scans are removed, metres.
-pub(crate) const BESIDE_GONE: f64 = 0.1;
+pub(crate) const AROUND_REMOVED: f64 = 0.1;
 /// Edge of the cells in which the space unknown to a 3D map is counted, metres. It is so large that a
 /// surface counts as new only if the map has none in its cell or in a neighbouring one.
 pub(crate) const NEW_CELL: f32 = 0.5;

@@ -19,15 +19,15 @@ pub(crate) const SECONDS_TO_SUPPORT: f64 = 1.5;
 /// Duration of contradicting scans that lowers support from full to none, seconds.
 pub(crate) const SECONDS_TO_CONTRADICT: f64 = 1.6;
 /// Duration of scans without a clear verdict that lowers support from full to none, seconds.
-pub(crate) const SECONDS_OF_NOTHING: f64 = 6.0;
+pub(crate) const SECONDS_WITHOUT_VERDICT: f64 = 6.0;
 /// Maximum change of support by one scan, as a fraction of full support, however long the gap before it.
-pub(crate) const MOST_OF_ONE_SCAN: f64 = 0.25;
+pub(crate) const MAX_CHANGE_PER_SCAN: f64 = 0.25;
 /// Support from which the place is known again.
 pub(crate) const SURE_SUPPORT: f64 = 0.7;
 /// Support below which the place is no longer known.
 pub(crate) const UNSURE_SUPPORT: f64 = 0.4;
 /// Limit of the support when other evidence questions the place: just below [`UNSURE_SUPPORT`].
-pub(crate) const DOUBTED_SUPPORT: f64 = 0.9 * UNSURE_SUPPORT;
+pub(crate) const QUESTIONED_SUPPORT: f64 = 0.9 * UNSURE_SUPPORT;
 /// Number of contradicting scans after which a place without support is lost.
 pub(crate) const SCANS_TO_LOSE: u32 = 4;
 
@@ -35,10 +35,10 @@ pub(crate) const SCANS_TO_LOSE: u32 = 4;
 pub(crate) const LEAST_TRUSTED_METRES: f64 = 5.0;
 /// Time before the place became uncertain from which scans are not trusted, seconds: contradictions are
 /// noticed after about a second.
-pub(crate) const DOUBTED_BEFORE_DOUBT: f64 = 2.0;
+pub(crate) const UNTRUSTED_BEFORE_UNCERTAIN: f64 = 2.0;
 /// Time before the place was lost from which scans are not trusted, seconds: a place is given up after
 /// several searches of the whole map.
-pub(crate) const DOUBTED_BEFORE_LOSS: f64 = CONFIRMING_SEARCHES as f64 * SURE_CHECK_SECONDS;
+pub(crate) const UNTRUSTED_BEFORE_LOSS: f64 = CONFIRMING_SEARCHES as f64 * SURE_CHECK_SECONDS;
 /// Difference between the motion in the map and that of local SLAM, from one scan to the next, above which
 /// the place before was wrong, metres.
 pub(crate) const MOST_TRUSTED_STEP: f64 = 0.25;

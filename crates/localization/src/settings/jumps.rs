@@ -3,11 +3,11 @@
 use crate::known_map::Window;
 
 /// Translation of a correction that is applied for each metre travelled, metres.
-pub(crate) const METRES_BY_WAY: f64 = 0.1;
+pub(crate) const METRES_BY_DISTANCE: f64 = 0.1;
 /// Translation of a correction that is applied for each radian turned, metres.
 pub(crate) const METRES_BY_TURN: f64 = 0.05;
 /// Rotation of a correction that is applied for each metre travelled, radians.
-pub(crate) const RADIANS_BY_WAY: f64 = 0.05;
+pub(crate) const RADIANS_BY_DISTANCE: f64 = 0.05;
 /// Rotation of a correction that is applied for each radian turned, radians.
 pub(crate) const RADIANS_BY_TURN: f64 = 0.1;
 /// Translation of a correction that is applied each second in any case, metres.

@@ -40,12 +40,12 @@ pub(crate) const MOST_PLACES: usize = 32;
 pub(crate) const REFUTED_BY: f64 = 0.3;
 
 /// Minimum fit of an accepted place, for a scanner that has moved.
-pub(crate) const BELIEVED_FIT: f64 = 0.4;
+pub(crate) const ACCEPTED_FIT: f64 = 0.4;
 /// Minimum evidence for an accepted place against each other place, in standard deviations. It has a margin
 /// to the highest evidence of wrong places with such a fit, in parts of the building that the map does not
 /// know and in maps of another building. At a fit of 0.45, a threshold of 2 accepted 103 right places where
 /// 2.5 accepted 95 (docs/experiments/2026-11-believing-places.md).
-pub(crate) const BELIEVED_SIGMAS: f64 = 2.5;
+pub(crate) const ACCEPTED_SIGMAS: f64 = 2.5;
 /// Additional fit that a scanner at rest needs, because one view is weak evidence. It falls linearly with
 /// motion.
 pub(crate) const STANDING_FIT: f64 = 0.2;

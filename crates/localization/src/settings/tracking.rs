@@ -4,9 +4,9 @@ use super::scans::NEW_VIEW_RADIANS;
 use crate::known_map::Window;
 
 /// Translational drift of local SLAM as a random walk by distance, metres per root of a metre.
-pub(crate) const DRIFT_METRES_BY_WAY: f64 = 0.04;
+pub(crate) const DRIFT_METRES_BY_DISTANCE: f64 = 0.04;
 /// Rotational drift by distance, radians per root of a metre.
-pub(crate) const DRIFT_RADIANS_BY_WAY: f64 = 0.012;
+pub(crate) const DRIFT_RADIANS_BY_DISTANCE: f64 = 0.012;
 /// Rotational drift by rotation, radians per root of a radian.
 pub(crate) const DRIFT_RADIANS_BY_TURN: f64 = 0.02;
 /// Translational drift by time, metres per root of a second.

@@ -48,8 +48,8 @@ pub enum MapConversionError {
     },
     /// A pose at coordinates that are not possible on the Earth.
     #[error(
-        "the {what} ({}, {}) lies {metres:.1e} m from the origin of the map, farther than anything on the Earth; \
-         `portolan edit` takes such parts out",
+        "the {what} ({}, {}) is {metres:.1e} m from the origin of the map, farther than anything on the Earth; \
+         `portolan edit` removes such parts",
         .id.0, .id.1
     )]
     FarAway {

@@ -301,7 +301,7 @@ fn check(path: &Path, graph: &PoseGraph) -> Result<(), EditError> {
     let mut seen: BTreeSet<(i32, IdInFile)> = BTreeSet::new();
     let mut part = |what: &str, kind: i32, id: IdInFile, pose| {
         if id.0 < 0 || id.1 < 0 || !seen.insert((kind, id)) {
-            return Err(broken(format!("the {what} {id:?} has a negative id or is there twice")));
+            return Err(broken(format!("the {what} {id:?} has a negative id or occurs twice")));
         }
         pose_from_proto(pose).map(drop).ok_or_else(|| broken(format!("the {what} {id:?} has no valid pose")))
     };
@@ -309,7 +309,7 @@ fn check(path: &Path, graph: &PoseGraph) -> Result<(), EditError> {
     for trajectory in &graph.trajectory {
         let t = trajectory.trajectory_id;
         if t < 0 || !trajectories.insert(t) {
-            return Err(broken(format!("trajectory {t} has a negative number or is there twice")));
+            return Err(broken(format!("trajectory {t} has a negative number or occurs twice")));
         }
         for submap in &trajectory.submap {
             part("submap", 0, (t, submap.submap_index), submap.pose.as_ref())?;

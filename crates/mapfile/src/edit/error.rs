@@ -69,7 +69,7 @@ pub enum EditError {
     TooFar,
     /// A part of a map is at coordinates that are not possible on the Earth.
     #[error(
-        "a part of the map lies {0:.1e} m from its origin, farther than anything on the Earth: take it out first"
+        "a part of the map is {0:.1e} m from its origin, farther than anything on the Earth: remove it first"
     )]
     FarAway(f64),
     /// Maps of different format versions.
@@ -98,8 +98,8 @@ pub enum EditError {
     },
     /// The scans of a merged map do not agree on its pose in the other map.
     #[error(
-        "{}: where it lies in the other map was not found: its scans fit nowhere, or in more than one place (not \
-         found: trajectory {})",
+        "{}: its pose in the other map was not found: its scans fit nowhere, or in more than one place (not found: \
+         trajectory {})",
         path.display(),
         trajectories.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
     )]

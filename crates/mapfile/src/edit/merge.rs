@@ -47,7 +47,7 @@ impl MapDraft {
     /// # Errors
     /// As for [`MapDraft::append`]; [`EditError::NotPlaced`] if its scans do not agree on a pose. The draft
     /// should be dropped then.
-    pub fn append_where_it_fits(
+    pub fn append_aligned(
         &mut self,
         path: impl AsRef<Path>,
         options: &Options,

@@ -139,8 +139,7 @@ impl MapDraft {
         summary: OptimizationSummary,
     ) -> Result<MapOptimization, EditError> {
         if summary.failed {
-            let reason =
-                "poses, constraints or weights are too large to be reckoned with; see `portolan check`";
+            let reason = "poses, constraints or weights are too large to compute with; see `portolan check`";
             return Err(EditError::Optimization(reason.to_owned()));
         }
         let submaps: BTreeMap<IdInFile, Rigid3> =

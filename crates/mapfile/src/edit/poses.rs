@@ -76,7 +76,7 @@ impl MapDraft {
         }
         if corrections.is_empty() {
             return Err(EditError::Poses(
-                "no node of the map lies within the times of the trajectory: are both of one clock?"
+                "no node of the map is within the time span of the trajectory: do both have the same clock?"
                     .to_owned(),
             ));
         }

@@ -17,9 +17,9 @@ pub struct Schema {
 }
 
 /// A source of anything.
-pub struct Luck(SplitMix64);
+pub struct RandomBytes(SplitMix64);
 
-impl Luck {
+impl RandomBytes {
     pub fn new(seed: u64) -> Self {
         Self(SplitMix64::new(seed))
     }
@@ -49,11 +49,11 @@ impl Schema {
     }
 
     /// The bytes of a message with some of its fields, in the order and form in which encoders write.
-    pub fn any(&self, name: &str, luck: &mut Luck) -> Vec<u8> {
-        self.any_at(name, luck, 0)
+    pub fn any(&self, name: &str, random: &mut RandomBytes) -> Vec<u8> {
+        self.any_at(name, random, 0)
     }
 
-    fn any_at(&self, name: &str, luck: &mut Luck, depth: u32) -> Vec<u8> {
+    fn any_at(&self, name: &str, random: &mut RandomBytes, depth: u32) -> Vec<u8> {
         let mut bytes = Vec::new();
         if depth > MAX_DEPTH {
             return bytes;
@@ -62,7 +62,7 @@ impl Schema {
         let mut fields: Vec<&FieldDescriptorProto> = message.field.iter().collect();
         fields.sort_by_key(|f| f.number());
         // Of the fields of a oneof at most one is there.
-        let chosen: Vec<u64> = message.oneof_decl.iter().map(|_| luck.next()).collect();
+        let chosen: Vec<u64> = message.oneof_decl.iter().map(|_| random.next()).collect();
         for field in &fields {
             if let Some(oneof) = field.oneof_index {
                 let members = fields.iter().filter(|f| f.oneof_index == Some(oneof));
@@ -71,36 +71,36 @@ impl Schema {
                     continue;
                 }
             }
-            if luck.below(4) > 0 {
-                self.field(field, luck, depth, &mut bytes);
+            if random.below(4) > 0 {
+                self.field(field, random, depth, &mut bytes);
             }
         }
         bytes
     }
 
-    fn field(&self, field: &FieldDescriptorProto, luck: &mut Luck, depth: u32, out: &mut Vec<u8>) {
+    fn field(&self, field: &FieldDescriptorProto, random: &mut RandomBytes, depth: u32, out: &mut Vec<u8>) {
         let number = field.number() as u32;
         let is_list = field.label() == Label::Repeated;
         match field.r#type() {
             Type::Message => {
-                for _ in 0..if is_list { luck.below(3) } else { 1 } {
-                    let inner = self.any_at(field.type_name().trim_start_matches('.'), luck, depth + 1);
+                for _ in 0..if is_list { random.below(3) } else { 1 } {
+                    let inner = self.any_at(field.type_name().trim_start_matches('.'), random, depth + 1);
                     put_bytes(out, number, &inner);
                 }
             }
             Type::String | Type::Bytes => {
                 let text: String =
-                    (0..=luck.below(5)).map(|_| ['a', 'ß', '\0', '9'][luck.below(4) as usize]).collect();
+                    (0..=random.below(5)).map(|_| ['a', 'ß', '\0', '9'][random.below(4) as usize]).collect();
                 put_bytes(out, number, text.as_bytes());
             }
             scalar if is_list => {
                 let mut packed = Vec::new();
-                (0..=luck.below(5)).for_each(|_| put_scalar(&mut packed, scalar, luck));
+                (0..=random.below(5)).for_each(|_| put_scalar(&mut packed, scalar, random));
                 put_bytes(out, number, &packed);
             }
             scalar => {
                 let mut value = Vec::new();
-                put_scalar(&mut value, scalar, luck);
+                put_scalar(&mut value, scalar, random);
                 // Zero is written by leaving the field out.
                 if value.iter().any(|b| *b != 0) {
                     put_varint(out, u64::from(number << 3 | wire_type(scalar)));
@@ -125,8 +125,8 @@ fn wire_type(scalar: Type) -> u32 {
     }
 }
 
-fn put_scalar(out: &mut Vec<u8>, scalar: Type, luck: &mut Luck) {
-    let any = luck.next() >> luck.below(64);
+fn put_scalar(out: &mut Vec<u8>, scalar: Type, random: &mut RandomBytes) {
+    let any = random.next() >> random.below(64);
     match scalar {
         // Any bits but those of minus zero, which encoders take for zero.
         Type::Double => out.extend((any & !(1 << 63)).to_le_bytes()),

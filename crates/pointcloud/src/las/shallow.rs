@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn calls_within_calls_end_before_the_stack_does() {
+    fn nested_calls_end_before_a_stack_overflow() {
         let read = |levels| {
             begin();
             read_deep(&mut Shallow::new(io::repeat(1), 1 << 20), levels)

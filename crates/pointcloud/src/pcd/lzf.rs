@@ -129,7 +129,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_goes_in_comes_out(seed in prop::collection::vec(any::<u8>(), 1..80), length in 0..30_000_usize, noise in 0..5_u32) {
+        fn compression_round_trips(seed in prop::collection::vec(any::<u8>(), 1..80), length in 0..30_000_usize, noise in 0..5_u32) {
             let bytes: Vec<u8> = (0..length).map(|i| seed[i % seed.len()].wrapping_add(((i as u32 / 97) * noise) as u8)).collect();
             let mut packed = Vec::new();
             bytes.chunks(9000).for_each(|block| compress(block, &mut packed));

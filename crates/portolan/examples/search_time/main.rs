@@ -33,7 +33,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             let graph = read_map::<Space2d>(Path::new(map), &MapLoadSettings::default())?.graph;
             let read = begin.elapsed().as_secs_f64();
             let map = KnownMap2d::new(graph.state())?;
-            tell(graph.state().submaps.len(), read, &begin)?;
+            print_time(graph.state().submaps.len(), read, &begin)?;
             drop(graph);
             search(map, recording.as_ref(), &preparation, seconds)
         }
@@ -41,14 +41,14 @@ fn main() -> Result<(), Box<dyn Error>> {
             let graph = read_map::<Space3d>(Path::new(map), &MapLoadSettings::default())?.graph;
             let read = begin.elapsed().as_secs_f64();
             let map = KnownMap3d::new(graph.state())?;
-            tell(graph.state().submaps.len(), read, &begin)?;
+            print_time(graph.state().submaps.len(), read, &begin)?;
             drop(graph);
             search(map, recording.as_ref(), &preparation, seconds)
         }
     }
 }
 
-fn tell(submaps: usize, read: f64, begin: &Instant) -> Result<(), Box<dyn Error>> {
+fn print_time(submaps: usize, read: f64, begin: &Instant) -> Result<(), Box<dyn Error>> {
     let made = begin.elapsed().as_secs_f64() - read;
     let mut out = std::io::stdout();
     Ok(writeln!(out, "{submaps} submaps, read in {read:.1} s, made ready for localisation in {made:.1} s")?)

@@ -29,7 +29,7 @@ pub enum JobError {
     #[error("planes are for mapping in 3D; scans in 2D are matched to grids")]
     PlaneEngineIn2d,
     /// Single trajectories to be frozen of several maps.
-    #[error("single trajectories to be frozen do not say which of the known maps they are of")]
+    #[error("with several known maps, the numbers of the trajectories to freeze are ambiguous")]
     AmbiguousFrozen,
     /// A known map.
     #[error("{}: {reason}", path.display())]
@@ -57,13 +57,13 @@ pub enum JobError {
     },
     /// A map without a georeference.
     #[error(
-        "{}: the map does not say where on the Earth it is, so that satellite fixes tell no start; map its recording again \
-         with --gnss",
+        "{}: the map is not georeferenced, so that satellite fixes give no start pose; map its recording again with \
+         --gnss",
         .0.display()
     )]
     NotGeoreferenced(PathBuf),
     /// A recording without satellite fixes, although the user wants to start at one.
-    #[error("the recording has no satellite fixes (sensor_msgs/NavSatFix) that could tell a start")]
+    #[error("the recording has no satellite fixes (sensor_msgs/NavSatFix) that could give a start pose")]
     NoFixes,
     /// A map in 3D whose places were to be examined.
     #[error("{}: this map is in 3D; places are examined in 2D only", .0.display())]
@@ -100,11 +100,11 @@ pub enum JobError {
     #[error(transparent)]
     NoRoom(#[from] NoRoom),
     /// There is no journal to resume from.
-    #[error("{}: nothing to go on with; without --resume mapping begins anew", .0.display())]
+    #[error("{}: there is no run to resume; without --resume mapping starts from the beginning", .0.display())]
     NoJournal(PathBuf),
     /// A journal of another job.
     #[error(
-        "{} is the journal of another job: {difference} differ; without --resume mapping begins anew",
+        "{} is the journal of another job: {difference} differ; without --resume mapping starts from the beginning",
         path.display()
     )]
     JournalOfAnother {
@@ -154,7 +154,7 @@ pub enum JobError {
     #[error(transparent)]
     Recording(#[from] RecordingError),
     /// Scans that were kept for pictures.
-    #[error("scans that were kept cannot be read: {0}")]
+    #[error("scans kept on disk cannot be read: {0}")]
     KeptScans(std::io::Error),
     /// The report could not be made.
     #[error(transparent)]

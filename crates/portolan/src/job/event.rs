@@ -201,16 +201,25 @@ impl fmt::Display for Remark {
             Self::Resumed { path, answers, cut_off } => write_resumed(f, path, *answers, *cut_off),
             Self::NoJournal { folder, reason } => {
                 let folder = folder.display();
-                write!(f, "{folder}: no journal ({reason}): if this run is cut off, --resume finds nothing")
+                write!(
+                    f,
+                    "{folder}: no journal ({reason}): if this run is cut off, --resume cannot continue it"
+                )
             }
             Self::JournalReplaced(path) => write_journal_replaced(f, path),
             Self::JournalLeft { path, ends_early } => write_journal_left(f, path, ends_early.as_deref()),
             Self::ScansNotKept { folder, reason } => {
                 let folder = folder.display();
-                write!(f, "scans could not be kept in {folder} ({reason}): X-rays need a second pass")
+                write!(
+                    f,
+                    "scans could not be kept in {folder} ({reason}): X-rays need a second pass over the recording"
+                )
             }
             Self::KeptScansUnreadable(error) => {
-                write!(f, "scans that were kept cannot be read ({error}): X-rays need a second pass")
+                write!(
+                    f,
+                    "scans kept on disk cannot be read ({error}): X-rays need a second pass over the recording"
+                )
             }
             Self::NoMap { left: true } => {
                 write!(f, "{NO_MAP}; map.pbstream there is of an earlier run")
@@ -226,13 +235,15 @@ impl fmt::Display for Remark {
             Self::EarlierLeft { folder, files } => {
                 write!(f, "{}: of an earlier run, not of this one", named(folder, files))
             }
-            Self::StoppedBeforePictures => {
-                f.write_str("stopped: not all pictures (`portolan render` makes them of the map)")
+            Self::StoppedBeforePictures => f.write_str(
+                "stopped: not all pictures were drawn (`portolan render` draws them from the map)",
+            ),
+            Self::StoppedBeforeClouds => f.write_str("stopped: no cloud and no X-rays were written"),
+            Self::StoppedBeforeRefinedCloud => {
+                f.write_str("stopped: no cloud and no report.html were written")
             }
-            Self::StoppedBeforeClouds => f.write_str("stopped: no cloud and no X-rays of it"),
-            Self::StoppedBeforeRefinedCloud => f.write_str("stopped: no cloud and no report.html"),
-            Self::StoppedXrays => f.write_str("stopped: no X-rays of it"),
-            Self::StoppedSecondPass => f.write_str("stopped: nothing was made of the second pass"),
+            Self::StoppedXrays => f.write_str("stopped: no X-rays were written"),
+            Self::StoppedSecondPass => f.write_str("stopped: nothing was written of the second pass"),
         }
     }
 }
@@ -251,7 +262,7 @@ fn numbers_of(trajectories: &[(i32, TrajectoryId)]) -> String {
 
 fn write_resumed(f: &mut fmt::Formatter<'_>, path: &Path, answers: usize, cut_off: u64) -> fmt::Result {
     write!(f, "{}: {answers} results of an earlier run are used again", path.display())?;
-    if cut_off > 0 { write!(f, "; {cut_off} bytes at its end were not whole") } else { Ok(()) }
+    if cut_off > 0 { write!(f, "; its last {cut_off} bytes are incomplete and were ignored") } else { Ok(()) }
 }
 
 fn write_journal_replaced(f: &mut fmt::Formatter<'_>, path: &Path) -> fmt::Result {
@@ -260,7 +271,7 @@ fn write_journal_replaced(f: &mut fmt::Formatter<'_>, path: &Path) -> fmt::Resul
 }
 
 fn write_journal_left(f: &mut fmt::Formatter<'_>, path: &Path, ends_early: Option<&str>) -> fmt::Result {
-    write!(f, "{} stays: the same command with --resume maps the rest", path.display())?;
+    write!(f, "{} is kept: the same command with --resume maps the rest", path.display())?;
     ends_early.map_or(Ok(()), |reason| write!(f, "; it ends early ({reason})"))
 }
 

@@ -28,24 +28,24 @@ pub struct PlaceCount {
     /// Places.
     pub places: usize,
     /// Fraction of the path that they represent.
-    pub fraction_of_way: f64,
+    pub fraction_of_path: f64,
 }
 
 impl ExaminedMap {
     /// Places of each kind, in the order of [`Distinctness::ALL`].
     pub fn counts(&self) -> [(Distinctness, PlaceCount); 4] {
-        let whole = self.way();
+        let whole = self.path_length();
         Distinctness::ALL.map(|kind| {
             let of_kind = || self.places.iter().filter(|place| place.distinctness == kind);
-            let way = of_kind().fold(0.0, |sum, place| sum + place.way);
-            let fraction_of_way = if whole > 0.0 { way / whole } else { 0.0 };
-            (kind, PlaceCount { places: of_kind().count(), fraction_of_way })
+            let path_length = of_kind().fold(0.0, |sum, place| sum + place.path_length);
+            let fraction_of_path = if whole > 0.0 { path_length / whole } else { 0.0 };
+            (kind, PlaceCount { places: of_kind().count(), fraction_of_path })
         })
     }
 
     /// Length of the trajectories, metres.
-    pub fn way(&self) -> f64 {
-        self.places.iter().map(|place| place.way).sum()
+    pub fn path_length(&self) -> f64 {
+        self.places.iter().map(|place| place.path_length).sum()
     }
 
     /// Draws the map with the path in colours: green distinct, blue degenerate, orange ambiguous, red thin.

@@ -68,10 +68,10 @@ impl Places {
         let kind = |(kind, count): (Distinctness, PlaceCount)| Kind {
             kind: kind.name(),
             places: count.places,
-            fraction_of_trajectory: count.fraction_of_way,
+            fraction_of_trajectory: count.fraction_of_path,
         };
         Self {
-            trajectory_metres: examined.way(),
+            trajectory_metres: examined.path_length(),
             kinds: examined.counts().into_iter().map(kind).collect(),
             places: examined.places.iter().map(Place::of).collect(),
         }
@@ -80,7 +80,7 @@ impl Places {
 
 impl Place {
     fn of(place: &ExaminedPlace) -> Self {
-        let open = place.open_direction.filter(|direction| direction.norm() > 0.5);
+        let degenerate = place.degenerate_direction.filter(|direction| direction.norm() > 0.5);
         Self {
             kind: place.distinctness.name(),
             trajectory: place.node_id.trajectory_id.0,
@@ -90,7 +90,7 @@ impl Place {
             fit: place.fit,
             other: place.other.map(|other| Pose::of(&other.map_from_tracking)),
             other_fit: place.other.map(|other| other.fit),
-            open_direction: open.map(|direction| direction.y.atan2(direction.x)),
+            open_direction: degenerate.map(|direction| direction.y.atan2(direction.x)),
         }
     }
 }

@@ -43,7 +43,7 @@ pub enum LastPoseError {
         reason: String,
     },
     /// No scan was localised in it.
-    #[error("{}: not one scan was localised in it, so that it tells no start", .0.display())]
+    #[error("{}: none of its scans was localised, so that it gives no start pose", .0.display())]
     NeverLocalised(PathBuf),
 }
 
@@ -124,11 +124,13 @@ mod tests {
     }
 
     #[test]
-    fn what_tells_no_start_is_told() {
+    fn files_without_a_start_are_refused_with_the_reason() {
         let error = |text: &str| start(text).unwrap_err();
         assert!(error("").contains("the file is empty"));
         assert!(error("1 2 3\n").contains("no column \"state\""));
-        assert!(error(&format!("{HEADER}\n1,searching,no_place_fits,,,,,,,,,,\n")).contains("not one scan"));
+        assert!(
+            error(&format!("{HEADER}\n1,searching,no_place_fits,,,,,,,,,,\n")).contains("none of its scans")
+        );
         assert!(error(&format!("{HEADER}\n1,localised,scans_fit,1,x,0,1,0,0,1,0,1,1\n")).contains("line 2"));
         assert!(error(&"x".repeat(9000)).contains("too long"));
     }

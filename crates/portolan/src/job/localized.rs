@@ -119,9 +119,9 @@ impl LocalizedRecording {
     /// Frequency and duration of each state, in the order of [`State::ALL`].
     pub fn state_counts(&self) -> [(State, StateCount); 5] {
         let mut counts = State::ALL.map(|state| (state, StateCount::default()));
-        let (lasting, _) = lasting(&self.intervals());
+        let (valid_durations, _) = valid_durations(&self.intervals());
         let states = self.estimates.iter().map(|estimate| estimate.state);
-        for (state, seconds) in states.zip(lasting.into_iter().chain([0.0])) {
+        for (state, seconds) in states.zip(valid_durations.into_iter().chain([0.0])) {
             for (_, count) in counts.iter_mut().filter(|(counted, _)| *counted == state) {
                 count.scans += 1;
                 count.seconds += seconds;
@@ -132,7 +132,7 @@ impl LocalizedRecording {
 
     /// Total duration of gaps in which scans were due, so that the state is unknown, seconds.
     pub fn seconds_without_scans(&self) -> f64 {
-        lasting(&self.intervals()).1
+        valid_durations(&self.intervals()).1
     }
 
     /// Seconds from each scan to the next.
@@ -162,12 +162,12 @@ impl LocalizedRecording {
 
 /// How long the pose of each scan is valid, by the seconds to the next scan, and the total time without a
 /// valid pose. Of a gap, only one scan interval counts as valid.
-fn lasting(intervals: &[f64]) -> (Vec<f64>, f64) {
+fn valid_durations(intervals: &[f64]) -> (Vec<f64>, f64) {
     let period = median(&mut intervals.to_vec()).unwrap_or_default();
-    let lasting = |seconds: &f64| if is_silence(*seconds, period) { period } else { *seconds };
-    let told: Vec<f64> = intervals.iter().map(lasting).collect();
-    let silent = intervals.iter().zip(&told).map(|(seconds, told)| seconds - told).sum();
-    (told, silent)
+    let valid_durations = |seconds: &f64| if is_silence(*seconds, period) { period } else { *seconds };
+    let valid: Vec<f64> = intervals.iter().map(valid_durations).collect();
+    let silent = intervals.iter().zip(&valid).map(|(seconds, valid)| seconds - valid).sum();
+    (valid, silent)
 }
 
 /// The files of [`write_localized`].
@@ -373,14 +373,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn of_an_hour_without_scans_nothing_is_known() {
+    fn an_hour_without_scans_has_no_valid_pose() {
         let mut intervals = vec![0.1; 60];
-        assert_eq!(lasting(&intervals), (intervals.clone(), 0.0));
+        assert_eq!(valid_durations(&intervals), (intervals.clone(), 0.0));
         // Scans at a low rate are not missing.
-        assert_eq!(lasting(&[3.0, 3.0, 12.0]).1, 0.0);
+        assert_eq!(valid_durations(&[3.0, 3.0, 12.0]).1, 0.0);
         intervals[30] = 3600.0;
-        let (told, silent) = lasting(&intervals);
-        assert!((told.iter().sum::<f64>() - 6.0).abs() < 1e-9 && (silent - 3599.9).abs() < 1e-9);
-        assert_eq!(lasting(&[]), (Vec::new(), 0.0));
+        let (valid, silent) = valid_durations(&intervals);
+        assert!((valid.iter().sum::<f64>() - 6.0).abs() < 1e-9 && (silent - 3599.9).abs() < 1e-9);
+        assert_eq!(valid_durations(&[]), (Vec::new(), 0.0));
     }
 }

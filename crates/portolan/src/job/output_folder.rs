@@ -65,7 +65,7 @@ impl OutputFolder {
     ) -> Result<Self, JobError> {
         let path = path.into();
         if path.exists() && !path.is_dir() {
-            let reason = std::io::Error::other("this is no folder, and results go to one");
+            let reason = std::io::Error::other("this is not a folder; results are written to a folder");
             return Err(JobError::file(&path, reason));
         }
         let mut claim = Claim::default();

@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_to_show_is_no_failure() {
+    fn missing_pictures_are_not_an_error() {
         let folder = tempfile::tempdir().unwrap();
         let content = MapContent { textures: &[], trajectories: &[], constraints: &[] };
         let mut remarks = Vec::new();

@@ -115,7 +115,7 @@ impl SaveMap {
         };
         map.trajectories.insert(grown.trajectory_id, added);
         if let Some(georeference) = georeference {
-            georeference.moved_by(&frame.origin()).hand_on(&mut map, grown.trajectory_id);
+            georeference.moved_by(&frame.origin()).apply_to(&mut map, grown.trajectory_id);
         }
         let state = map.graph.state();
         map.trajectories.retain(|id, _| state.trajectory_state(*id) != TrajectoryState::Deleted);

@@ -87,7 +87,7 @@ impl Points<'_> {
 
 /// Trajectory and resolution of the pictures.
 pub(super) struct Request {
-    way: Vec<(Time, [f64; 3])>,
+    path: Vec<(Time, [f64; 3])>,
     /// Size of the voxels to gather points in, metres.
     pub voxel_size: f64,
 }
@@ -104,13 +104,13 @@ struct Views {
 impl Request {
     /// For a trajectory and the sensors that measured the map.
     pub fn new(poses: &[(Time, Rigid3)], plan: &SensorPlan, preparation: &Preparation) -> Self {
-        let way: Vec<(Time, [f64; 3])> =
+        let path: Vec<(Time, [f64; 3])> =
             poses.iter().map(|(time, pose)| (*time, pose.translation.vector.into())).collect();
         let reach = plan.range.iter().map(|r| r.statistics.p95_range).fold(0.0, f64::max);
         let most = f64::from(preparation.options.trajectory_builder.trajectory_builder_3d.max_range);
-        let longest = (0..2).map(|axis| spread(way.iter().map(|(_, p)| p[axis]))).fold(0.0, f64::max);
+        let longest = (0..2).map(|axis| spread(path.iter().map(|(_, p)| p[axis]))).fold(0.0, f64::max);
         let size = (longest + 2.0 * reach.min(most)) / VOXELS_ALONG;
-        Self { way, voxel_size: size.clamp(*VOXEL_SIZES.start(), *VOXEL_SIZES.end()) }
+        Self { path, voxel_size: size.clamp(*VOXEL_SIZES.start(), *VOXEL_SIZES.end()) }
     }
 
     /// Draws all pictures; returns the files. None where there are no points.
@@ -146,12 +146,12 @@ impl Request {
             if observe(&Event::Drawing).is_break() {
                 return Err(NotDrawn::Interrupted);
             }
-            let way = self.line(|p| Some(view.project(p)));
-            files.push(write(picture, way, title, folder, name)?);
+            let line = self.line(|p| Some(view.project(p)));
+            files.push(write(picture, line, title, folder, name)?);
         }
-        let way = self.line(|p| views.is_cut(p).then(|| front.project(p)));
+        let line = self.line(|p| views.is_cut(p).then(|| front.project(p)));
         let title = format!("section, {SECTION} m thick, first seen early: blue, late: red");
-        files.push(write(&section, way, &title, folder, "map_section.png")?);
+        files.push(write(&section, line, &title, folder, "map_section.png")?);
         Ok(files)
     }
 
@@ -184,7 +184,7 @@ impl Request {
                 ("map_xray_side.png", "from the side", side),
             ],
             depth,
-            middle: busiest(self.way.iter().map(|(_, p)| depth.project(*p)[0])),
+            middle: busiest(self.path.iter().map(|(_, p)| depth.project(*p)[0])),
         }
     }
 
@@ -192,8 +192,8 @@ impl Request {
     fn extents(&self, sample: &CloudSample, view: &XrayView) -> (Option<Extent>, Option<Extent>) {
         let along = |axis: usize| {
             let extent = sample.extent(OUTLIERS, |p| view.project(p)[axis])?;
-            let way = self.way.iter().map(|(_, p)| view.project(*p)[axis]).filter(|v| v.is_finite());
-            Some(way.fold(extent, |e, v| Extent { from: e.from.min(v), to: e.to.max(v) }))
+            let path = self.path.iter().map(|(_, p)| view.project(*p)[axis]).filter(|v| v.is_finite());
+            Some(path.fold(extent, |e, v| Extent { from: e.from.min(v), to: e.to.max(v) }))
         };
         (along(0), along(1))
     }
@@ -204,14 +204,14 @@ impl Request {
 
     /// The trajectory as a line; a point for which `project` gives none interrupts it.
     fn line(&self, project: impl Fn([f64; 3]) -> Option<[f64; 2]>) -> TrajectoryLine {
-        let points = self.way.iter().map(|(_, p)| project(*p).unwrap_or([f64::NAN; 2]));
+        let points = self.path.iter().map(|(_, p)| project(*p).unwrap_or([f64::NAN; 2]));
         TrajectoryLine { index: 0, points: points.collect() }
     }
 
     /// First and last time, seconds since 1970.
     fn times(&self) -> (f64, f64) {
         let time = |pose: Option<&(Time, [f64; 3])>| pose.map_or(0.0, |(time, _)| time.unix_seconds());
-        (time(self.way.first()), time(self.way.last()))
+        (time(self.path.first()), time(self.path.last()))
     }
 }
 
@@ -235,12 +235,12 @@ impl Views {
 
 fn write(
     picture: &XrayPicture,
-    way: TrajectoryLine,
+    line: TrajectoryLine,
     title: &str,
     folder: &OutputFolder,
     name: &str,
 ) -> Result<PathBuf, NotDrawn> {
-    let picture = picture.finish(&[way], title);
+    let picture = picture.finish(&[line], title);
     let picture = picture.map_err(|e| NotDrawn::Failed(e.into()))?;
     let path = folder.file(name).map_err(NotDrawn::Failed)?;
     write_picture(&path, &picture)
@@ -267,9 +267,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_section_lies_where_most_of_the_way_is() {
-        let way = (0..100).map(f64::from).chain((0..40).map(|_| 12.3));
-        assert_eq!(busiest(way), 12.25);
+    fn the_section_is_where_most_of_the_path_is() {
+        let path = (0..100).map(f64::from).chain((0..40).map(|_| 12.3));
+        assert_eq!(busiest(path), 12.25);
         assert_eq!(busiest(std::iter::empty()), 0.0);
         assert_eq!((spread([2.0, -1.0, 4.0].into_iter()), spread(std::iter::empty())), (5.0, 0.0));
     }

@@ -84,7 +84,7 @@ fn results(found: &LocalizedRecording, folder: &Path, run: Run) -> LocalizedReco
 }
 
 #[test]
-fn a_failing_disk_leaves_whole_files_of_what_was_localised() {
+fn a_failing_disk_leaves_whole_files_of_localisation() {
     let _disk = whole_disk();
     let known = Known::new(2.0);
     let waiting = tempfile::tempdir().unwrap();

@@ -171,7 +171,7 @@ fn a_disk_that_fails_while_mapping_leaves_whole_files_or_those_of_before() {
 }
 
 #[test]
-fn a_file_of_which_a_write_failed_is_not_completed_even_if_nobody_looked() {
+fn a_file_with_a_failed_write_is_not_committed_even_if_the_error_was_ignored() {
     let _disk = whole_disk();
     let write = |folder: &Path, run: Run| -> Result<(), Failure> {
         let mut file = AtomicFile::create(folder.join("cloud"))?;

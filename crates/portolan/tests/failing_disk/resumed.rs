@@ -22,7 +22,7 @@ fn a_run_whose_results_find_no_room_is_resumed() {
     let recording = Content::new(Run::Later, 3.0).recording;
     let [good, output] = [(); 2].map(|()| tempfile::tempdir().unwrap());
     map(&recording, MapRequest::new(good.path()), &mut unobserved).unwrap();
-    let (mut said, mut is_full) = (Vec::new(), false);
+    let (mut remarks, mut is_full) = (Vec::new(), false);
     let failed = map(&recording, MapRequest::new(output.path()), &mut |event| {
         match event {
             Event::Drawing if !is_full => {
@@ -30,7 +30,7 @@ fn a_run_whose_results_find_no_room_is_resumed() {
                 std::thread::sleep(WRITTEN);
                 fail_at(0, Fault::Full);
             }
-            Event::Remark(remark) => said.push(remark.to_string()),
+            Event::Remark(remark) => remarks.push(remark.to_string()),
             _ => {}
         }
         ControlFlow::Continue(())
@@ -38,18 +38,18 @@ fn a_run_whose_results_find_no_room_is_resumed() {
     mend();
     let error = failed.unwrap_err().to_string();
     assert!(error.contains("os error 28"), "{error}");
-    assert!(said.iter().any(|line| line.ends_with("--resume maps the rest")), "{said:?}");
+    assert!(remarks.iter().any(|line| line.ends_with("--resume maps the rest")), "{remarks:?}");
     assert!(output.path().join(JOURNAL).is_file());
-    let mut said = Vec::new();
+    let mut remarks = Vec::new();
     let request = MapRequest { resume: true, ..MapRequest::new(output.path()) };
     map(&recording, request, &mut |event| {
         if let Event::Remark(remark) = event {
-            said.push(remark.to_string());
+            remarks.push(remark.to_string());
         }
         ControlFlow::Continue(())
     })
     .unwrap();
-    assert!(said.iter().any(|line| line.contains("of an earlier run are used again")), "{said:?}");
+    assert!(remarks.iter().any(|line| line.contains("of an earlier run are used again")), "{remarks:?}");
     let read = |folder: &Path, name: &str| std::fs::read(folder.join(name)).unwrap();
     for name in ["map.pbstream", "trajectory.tum", "map.png"] {
         assert!(read(good.path(), name) == read(output.path(), name), "{name}");

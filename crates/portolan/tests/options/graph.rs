@@ -52,11 +52,11 @@ fn searches(options: &Options) -> SearchCounts {
 }
 
 /// The same lap twice, as two trajectories; the second may be told where it starts.
-fn two_laps(options: &Options, is_told: bool) -> Map<Space2d> {
+fn two_laps(options: &Options, is_start_given: bool) -> Map<Space2d> {
     let mut mapper = mapper::<Space2d>(options);
     let sensors = [SensorKind::Range, SensorKind::Odometry].map(sensor).into_iter().collect();
     for lap in 0..2 {
-        let start = (lap == 1 && is_told).then(|| InitialTrajectoryPose {
+        let start = (lap == 1 && is_start_given).then(|| InitialTrajectoryPose {
             to_trajectory_id: TrajectoryId(0),
             relative_pose: Rigid3::identity(),
             time: at(0.0),

@@ -37,7 +37,7 @@ fn scan_in_tunnel(x: f64, seconds: f64) -> TimedPointCloudData {
 }
 
 /// How far along the tunnel local SLAM believes to be after 1.5 m.
-fn way_through_tunnel(options: &Options) -> f64 {
+fn mapped_tunnel_length(options: &Options) -> f64 {
     let mut measurements = vec![Measurement::Imu(imu(-0.01, 0.0, 0.0))];
     for step in 0..35 {
         let seconds = 0.1 * f64::from(step);
@@ -50,7 +50,7 @@ fn way_through_tunnel(options: &Options) -> f64 {
 }
 
 #[test]
-fn brightness_shows_the_way_through_a_bare_tunnel() {
+fn brightness_constrains_motion_in_a_bare_tunnel() {
     let mut options = base();
     for setting in [
         "trajectory_builder_3d.submaps.num_range_data=40",
@@ -63,16 +63,16 @@ fn brightness_shows_the_way_through_a_bare_tunnel() {
     ] {
         options.set(setting).unwrap();
     }
-    let without = way_through_tunnel(&options);
+    let without = mapped_tunnel_length(&options);
     options.set("use_intensities=true").unwrap();
-    let with = way_through_tunnel(&options);
+    let with = mapped_tunnel_length(&options);
     // Means over cells of 0.2 m lag behind.
     assert!((1.0..1.7).contains(&with) && without < 0.2, "1.5 m: {with} m with, {without} m without");
     // Walls that are all as bright as nobody believes say nothing.
     let threshold =
         "trajectory_builder_3d.ceres_scan_matcher.intensity_cost_function_options_0.intensity_threshold=4";
     options.set(threshold).unwrap();
-    let blinded = way_through_tunnel(&options);
+    let blinded = mapped_tunnel_length(&options);
     assert!(blinded < 0.2, "{blinded}");
 }
 

@@ -62,7 +62,7 @@ fn truth([x, y, yaw]: [f64; 3]) -> Rigid3 {
     pose(x, y, yaw)
 }
 
-fn way(options: &Options, to: [f64; 3]) -> f64 {
+fn moved(options: &Options, to: [f64; 3]) -> f64 {
     pushed(options, truth(to)).translation.vector.norm()
 }
 
@@ -98,7 +98,7 @@ fn roll_after_leaning(options: &Options) -> f64 {
 }
 
 /// At rest, then 0.5 m/s ahead; the last scan sees next to nothing, so that it is put where predicted.
-fn way_predicted(options: &Options) -> f64 {
+fn predicted_distance(options: &Options) -> f64 {
     let mut options = options.clone();
     for setting in [
         "trajectory_builder_2d.use_online_correlative_scan_matching=true",
@@ -247,7 +247,7 @@ fn local_slam() -> Vec<Effect> {
         "trajectory_builder_2d.pose_extrapolator.use_imu_based", "false" => "true", Rises, contradictions;
         "trajectory_builder_2d.pose_extrapolator.constant_velocity.imu_gravity_time_constant", "0.1" => "100", Falls,
             roll_after_leaning, ["trajectory_builder_2d.use_imu_data=true", "portolan.use_all_odometry=false"];
-        "trajectory_builder_2d.pose_extrapolator.constant_velocity.pose_queue_duration", "0.001" => "1", Falls, way_predicted;
+        "trajectory_builder_2d.pose_extrapolator.constant_velocity.pose_queue_duration", "0.001" => "1", Falls, predicted_distance;
         "portolan.use_all_odometry", "false" => "true", Falls, error_with_odometry;
         "portolan.wide_search_after_gap", "0" => "0.5", Falls, error_after_gap;
     }
@@ -264,7 +264,7 @@ fn matching() -> Vec<Effect> {
         "trajectory_builder_2d.real_time_correlative_scan_matcher.angular_search_window", "0.01" => "0.3", Falls, |o| turn_error(o, FAR),
             ["trajectory_builder_2d.use_online_correlative_scan_matching=true", "trajectory_builder_2d.ceres_scan_matcher.occupied_space_weight=20",
              "trajectory_builder_2d.real_time_correlative_scan_matcher.linear_search_window=0.3"];
-        "trajectory_builder_2d.real_time_correlative_scan_matcher.translation_delta_cost_weight", "0.1" => "100", Falls, |o| way(o, FAR),
+        "trajectory_builder_2d.real_time_correlative_scan_matcher.translation_delta_cost_weight", "0.1" => "100", Falls, |o| moved(o, FAR),
             ["trajectory_builder_2d.use_online_correlative_scan_matching=true", "trajectory_builder_2d.ceres_scan_matcher.translation_weight=1",
              "trajectory_builder_2d.real_time_correlative_scan_matcher.linear_search_window=0.3"];
         "trajectory_builder_2d.real_time_correlative_scan_matcher.rotation_delta_cost_weight", "0.1" => "100", Falls, |o| turn(o, FAR),
@@ -272,19 +272,19 @@ fn matching() -> Vec<Effect> {
         "portolan.adaptive_search", "false" => "true", Changes, |o| error(o, FAR),
             ["trajectory_builder_2d.use_online_correlative_scan_matching=true",
              "trajectory_builder_2d.real_time_correlative_scan_matcher.linear_search_window=0.05"];
-        "portolan.search_penalty_limit", "0.01" => "1", Falls, |o| way(o, FAR),
+        "portolan.search_penalty_limit", "0.01" => "1", Falls, |o| moved(o, FAR),
             ["trajectory_builder_2d.use_online_correlative_scan_matching=true",
              "trajectory_builder_2d.real_time_correlative_scan_matcher.linear_search_window=0.3",
              "trajectory_builder_2d.real_time_correlative_scan_matcher.translation_delta_cost_weight=100"];
-        "trajectory_builder_2d.ceres_scan_matcher.occupied_space_weight", "1" => "30", Rises, |o| way(o, NEAR);
-        "trajectory_builder_2d.ceres_scan_matcher.translation_weight", "1" => "1000", Falls, |o| way(o, NEAR),
+        "trajectory_builder_2d.ceres_scan_matcher.occupied_space_weight", "1" => "30", Rises, |o| moved(o, NEAR);
+        "trajectory_builder_2d.ceres_scan_matcher.translation_weight", "1" => "1000", Falls, |o| moved(o, NEAR),
             ["trajectory_builder_2d.ceres_scan_matcher.occupied_space_weight=20"];
         "trajectory_builder_2d.ceres_scan_matcher.rotation_weight", "1" => "10000", Falls, |o| turn(o, NEAR),
             ["trajectory_builder_2d.ceres_scan_matcher.occupied_space_weight=20"];
-        "trajectory_builder_2d.ceres_scan_matcher.ceres_solver_options.max_num_iterations", "1" => "20", Changes, |o| way(o, NEAR),
+        "trajectory_builder_2d.ceres_scan_matcher.ceres_solver_options.max_num_iterations", "1" => "20", Changes, |o| moved(o, NEAR),
             ["trajectory_builder_2d.ceres_scan_matcher.occupied_space_weight=20", "trajectory_builder_2d.ceres_scan_matcher.translation_weight=1"];
         "trajectory_builder_2d.ceres_scan_matcher.ceres_solver_options.use_nonmonotonic_steps", "false" => "true", Changes,
-            |o| (1..8).map(|i| f64::from(i) * 0.07).map(|d| way(o, [d, -0.5 * d, 0.4 * d])).sum(),
+            |o| (1..8).map(|i| f64::from(i) * 0.07).map(|d| moved(o, [d, -0.5 * d, 0.4 * d])).sum(),
             ["trajectory_builder_2d.ceres_scan_matcher.occupied_space_weight=50", "trajectory_builder_2d.ceres_scan_matcher.translation_weight=0.1",
              "trajectory_builder_2d.ceres_scan_matcher.rotation_weight=0.1"];
     }
@@ -356,7 +356,7 @@ fn options_of_submaps_in_2d_have_their_effects() {
 }
 
 #[test]
-fn a_run_is_what_it_is_taken_for() {
+fn the_run_on_a_circle_follows_the_truth() {
     let circle = circle(&base());
     assert_eq!(circle.results.len(), 12);
     assert!(circle.issues.is_empty(), "{:?}", circle.issues);

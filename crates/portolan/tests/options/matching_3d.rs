@@ -26,7 +26,7 @@ fn far() -> Rigid3 {
     Rigid3::from_parts(Vector3::new(0.35, 0.2, 0.0).into(), rotation_from_roll_pitch_yaw(0.0, 0.0, 0.06))
 }
 
-fn way(options: &Options, to: Rigid3) -> f64 {
+fn moved(options: &Options, to: Rigid3) -> f64 {
     pushed(options, &to).translation.vector.norm()
 }
 
@@ -53,7 +53,7 @@ pub fn table() -> Vec<Effect> {
         "trajectory_builder_3d.real_time_correlative_scan_matcher.angular_search_window", "0" => "0.08", Falls, |o| turn_error(o, far()),
             ["trajectory_builder_3d.submaps.high_resolution=0.2", "trajectory_builder_3d.use_online_correlative_scan_matching=true",
              "trajectory_builder_3d.real_time_correlative_scan_matcher.linear_search_window=0.4"];
-        "trajectory_builder_3d.real_time_correlative_scan_matcher.translation_delta_cost_weight", "0.1" => "100", Falls, |o| way(o, far()),
+        "trajectory_builder_3d.real_time_correlative_scan_matcher.translation_delta_cost_weight", "0.1" => "100", Falls, |o| moved(o, far()),
             ["trajectory_builder_3d.submaps.high_resolution=0.2", "trajectory_builder_3d.use_online_correlative_scan_matching=true",
              "trajectory_builder_3d.real_time_correlative_scan_matcher.linear_search_window=0.4"];
         "trajectory_builder_3d.real_time_correlative_scan_matcher.rotation_delta_cost_weight", "0.1" => "1000", Falls, |o| turn(o, far()),
@@ -61,24 +61,24 @@ pub fn table() -> Vec<Effect> {
              "trajectory_builder_3d.real_time_correlative_scan_matcher.linear_search_window=0.4",
              "trajectory_builder_3d.real_time_correlative_scan_matcher.angular_search_window=0.08"];
         "trajectory_builder_3d.ceres_scan_matcher.occupied_space_weight_0", "0.1" => "20", Falls, |o| error(o, near());
-        "trajectory_builder_3d.ceres_scan_matcher.occupied_space_weight_1", "0.1" => "20", Rises, |o| way(o, near());
-        "trajectory_builder_3d.ceres_scan_matcher.translation_weight", "0.1" => "1000", Falls, |o| way(o, near());
+        "trajectory_builder_3d.ceres_scan_matcher.occupied_space_weight_1", "0.1" => "20", Rises, |o| moved(o, near());
+        "trajectory_builder_3d.ceres_scan_matcher.translation_weight", "0.1" => "1000", Falls, |o| moved(o, near());
         "trajectory_builder_3d.ceres_scan_matcher.rotation_weight", "1" => "100000", Falls, |o| turn(o, near());
         "trajectory_builder_3d.ceres_scan_matcher.only_optimize_yaw", "false" => "true", Falls,
             |o| roll(&pushed(o, &leaning()).rotation), ["trajectory_builder_3d.ceres_scan_matcher.rotation_weight=1"];
         "trajectory_builder_3d.ceres_scan_matcher.ceres_solver_options.max_num_iterations", "1" => "12", Falls, |o| error(o, near()),
             ["trajectory_builder_3d.ceres_scan_matcher.translation_weight=0.1", "trajectory_builder_3d.ceres_scan_matcher.rotation_weight=1"];
         "trajectory_builder_3d.ceres_scan_matcher.ceres_solver_options.use_nonmonotonic_steps", "false" => "true", Changes,
-            |o| (1..5).map(|i| 0.09 * f64::from(i)).map(|d| way(o, pose(d, -0.6 * d, 0.2 * d))).sum(),
+            |o| (1..5).map(|i| 0.09 * f64::from(i)).map(|d| moved(o, pose(d, -0.6 * d, 0.2 * d))).sum(),
             ["trajectory_builder_3d.ceres_scan_matcher.translation_weight=0.1", "trajectory_builder_3d.ceres_scan_matcher.rotation_weight=1",
              "trajectory_builder_3d.ceres_scan_matcher.occupied_space_weight_0=30"];
-        "trajectory_builder_3d.ceres_scan_matcher.intensity_cost_function_options_0.weight", "0.01" => "5", Changes, |o| way(o, near()),
+        "trajectory_builder_3d.ceres_scan_matcher.intensity_cost_function_options_0.weight", "0.01" => "5", Changes, |o| moved(o, near()),
             ["use_intensities=true"];
-        "trajectory_builder_3d.ceres_scan_matcher.intensity_cost_function_options_0.huber_scale", "0.01" => "100", Changes, |o| way(o, near()),
+        "trajectory_builder_3d.ceres_scan_matcher.intensity_cost_function_options_0.huber_scale", "0.01" => "100", Changes, |o| moved(o, near()),
             ["use_intensities=true"];
-        "trajectory_builder_3d.ceres_scan_matcher.intensity_cost_function_options_0.intensity_threshold", "15" => "40", Changes, |o| way(o, near()),
+        "trajectory_builder_3d.ceres_scan_matcher.intensity_cost_function_options_0.intensity_threshold", "15" => "40", Changes, |o| moved(o, near()),
             ["use_intensities=true"];
-        "use_intensities", "false" => "true", Changes, |o| way(o, near());
+        "use_intensities", "false" => "true", Changes, |o| moved(o, near());
         "portolan.match_surfaces", "false" => "true", Changes, |o| circle(o).last_pose().translation.x;
         "portolan.surface_voxel_size", "0.5" => "2", Changes, |o| circle(o).last_pose().translation.x,
             ["portolan.match_surfaces=true"];

@@ -166,7 +166,7 @@ fn plain(data: OptimizationData) -> OptimizationData {
 }
 
 /// Where some nodes are after a few steps from a bad start.
-fn bent_way(options: &Options, optimize: Optimize) -> f64 {
+fn position_sum(options: &Options, optimize: Optimize) -> f64 {
     let solved = solve(options, optimize, scrambled);
     (0..NODES).map(|i| solved.pose(i).translation.vector.sum()).sum()
 }
@@ -221,9 +221,9 @@ fn in_2d_and_3d() -> Vec<Effect> {
             |o| f64::from(solve(o, optimize_2d, scrambled).summary.iterations);
         "optimization_problem.ceres_solver_options.max_num_iterations", "1" => "30", Rises,
             |o| f64::from(solve(o, optimize_3d, scrambled).summary.iterations);
-        "optimization_problem.ceres_solver_options.use_nonmonotonic_steps", "false" => "true", Changes, |o| bent_way(o, optimize_2d),
+        "optimization_problem.ceres_solver_options.use_nonmonotonic_steps", "false" => "true", Changes, |o| position_sum(o, optimize_2d),
             ["optimization_problem.ceres_solver_options.max_num_iterations=12"];
-        "optimization_problem.ceres_solver_options.use_nonmonotonic_steps", "false" => "true", Changes, |o| bent_way(o, optimize_3d),
+        "optimization_problem.ceres_solver_options.use_nonmonotonic_steps", "false" => "true", Changes, |o| position_sum(o, optimize_3d),
             ["optimization_problem.ceres_solver_options.max_num_iterations=12"];
     }
 }
@@ -244,7 +244,7 @@ fn options_of_the_optimisation_have_their_effects() {
 }
 
 #[test]
-fn a_loop_closure_says_nothing_along_an_open_direction() {
+fn a_loop_closure_adds_no_information_along_a_degenerate_direction() {
     let solved = |open: Option<Vector3>| {
         let (mut data, mut constraints) = row();
         for constraint in constraints.iter_mut().filter(|c| c.is_loop_closure()) {

@@ -35,7 +35,7 @@ fn blind(scan: &mut TimedPointCloudData) {
 
 /// At rest, then 0.5 m/s ahead, well matched; the last scan sees next to nothing, so that it is put where
 /// predicted.
-fn way_predicted(options: &Options) -> f64 {
+fn predicted_distance(options: &Options) -> f64 {
     let mut options = options.clone();
     for setting in [
         "trajectory_builder_3d.ceres_scan_matcher.occupied_space_weight_0=30",
@@ -126,7 +126,7 @@ pub fn table() -> Vec<Effect> {
 fn by_velocity() -> Vec<Effect> {
     effects! {
         "trajectory_builder_3d.pose_extrapolator.constant_velocity.imu_gravity_time_constant", "0.1" => "100", Falls, roll_after_leaning;
-        "trajectory_builder_3d.pose_extrapolator.constant_velocity.pose_queue_duration", "0.001" => "1", Falls, way_predicted;
+        "trajectory_builder_3d.pose_extrapolator.constant_velocity.pose_queue_duration", "0.001" => "1", Falls, predicted_distance;
         "portolan.use_all_odometry", "false" => "true", Falls, error_with_odometry;
         "trajectory_builder_3d.pose_extrapolator.use_imu_based", "false" => "true", Changes, prediction;
     }

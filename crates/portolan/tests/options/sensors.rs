@@ -317,7 +317,7 @@ fn a_single_setting_chooses_between_2d_and_3d() {
 }
 
 #[test]
-fn what_the_command_line_says_wins_and_wrong_settings_are_errors() {
+fn the_command_line_overrides_settings_and_wrong_settings_are_errors() {
     let mut ingest = IngestOptions {
         use_odometry: Some(false),
         tracking_frame: Some("laser".to_owned()),

@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newer_format_tells_its_geometry() {
+    fn the_newer_format_has_its_geometry() {
         let mut config =
             LaserConfig { start_angle: -1.0, field_of_view: 2.0, resolution: 0.1, maximum_range: 30.0 };
         let geometry = configured(&config, 21);

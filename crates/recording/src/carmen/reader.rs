@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newer_format_is_preferred_and_tells_its_geometry() {
+    fn the_newer_format_is_preferred_and_has_its_geometry() {
         let robot = "ROBOTLASER1 0 -2.0 4.0 2.0 8.0 0.01 1 3 1.0 8.0 9.0 3 7 8 9 0.1 0 0 0 0 0 0 0 0 0 0";
         let text = format!(
             "FLASER 3 1 2 3 0 0 0 0 0 0 5.0 host 0.0\n{robot} 5.0 host 0.0\nTRUEPOS 0 0 0 0 0 0 5.1 h 1\nbroken \u{1}\n"

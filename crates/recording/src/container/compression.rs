@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_before_damage_is_kept() {
+    fn data_before_damage_is_kept() {
         let data: Vec<u8> = (0..2_000_000u32).flat_map(|i| (i / 7).to_le_bytes()).collect();
         for compression in [Compression::Lz4, Compression::Zstd, Compression::Bz2] {
             let packed = packed(compression, &data);

@@ -65,7 +65,7 @@ mod tests {
     use crate::ros1::record::BagFormat;
 
     #[test]
-    fn what_comes_out_of_useless_chunks_is_bounded() {
+    fn output_of_useless_chunks_is_bounded() {
         let unpacked_bytes = 60 << 20;
         let zeros = std::io::Read::take(std::io::repeat(0), unpacked_bytes);
         let packed = zstd::stream::encode_all(zeros, 1).unwrap();

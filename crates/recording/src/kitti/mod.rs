@@ -125,8 +125,8 @@ fn raw_sweeps(raw: &Path, files: Vec<PathBuf>, issues: &mut IssueLog) -> Result<
     let half = Duration::from_seconds(0.05);
     let sweeps = times::paired(files, middle, "sweeps", issues).enumerate().map(|(i, (path, time))| {
         let number = times::number_of(&path).unwrap_or(i);
-        let told = |list: &[Option<Time>]| list.get(number).copied().flatten();
-        let (start, end) = (told(&start).unwrap_or(time - half), told(&end).unwrap_or(time + half));
+        let stamp_in = |list: &[Option<Time>]| list.get(number).copied().flatten();
+        let (start, end) = (stamp_in(&start).unwrap_or(time - half), stamp_in(&end).unwrap_or(time + half));
         Sweep { path, stamp: time, start, end: end.max(start) }
     });
     Ok(sweeps.collect())

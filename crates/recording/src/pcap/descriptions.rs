@@ -123,14 +123,14 @@ impl Descriptions {
     ) -> Option<&OusterMetadata> {
         if let Some(found) = self.of_serial(lidar) {
             if found.likeness != Likeness::Same {
-                issues.add(found_in(found, "they are of the serial number that its packets have"));
+                issues.add(found_in(found, "their serial number is that of its packets"));
             }
             return Some(&found.metadata);
         }
         let others: Vec<u64> = all.iter().filter_map(Seen::serial).collect();
         let found = self.of_name(lidar, &others)?;
-        let told = lidar.identity(&found.metadata).0;
-        match (told, found.metadata.serial) {
+        let identity = lidar.identity(&found.metadata).0;
+        match (identity, found.metadata.serial) {
             (Some(packets), Some(metadata)) if packets != metadata => {
                 let issue = Issue::new(IssueKind::OtherOusterMetadata).with("file", &found.file);
                 issues.add(issue.with_number("metadata", metadata).with_number("packets", packets));
@@ -138,7 +138,7 @@ impl Descriptions {
             _ if found.likeness != Likeness::Same => {
                 issues.add(found_in(
                     found,
-                    "their name is nearest to that of the capture, and they fit its packets",
+                    "their name is closest to that of the capture, and they fit its packets",
                 ));
             }
             _ => {}

@@ -47,7 +47,8 @@ struct Capture {
 pub(crate) fn open(source: Source) -> Result<Box<dyn Recording>, RecordingError> {
     let path = source.name().to_owned();
     let unknown = |detail: String| RecordingError::UnknownFormat { path: path.clone(), detail };
-    let mut reader = CaptureReader::open(&source)?.ok_or_else(|| unknown("it is no capture".to_owned()))?;
+    let mut reader =
+        CaptureReader::open(&source)?.ok_or_else(|| unknown("it is not a network capture".to_owned()))?;
     let size = source.open()?.length();
     let mut issues = IssueLog::default();
     let mut datagrams = Datagrams::default();
@@ -69,7 +70,7 @@ pub(crate) fn open(source: Source) -> Result<Box<dyn Recording>, RecordingError>
     let sensors = senders.sensors(&descriptions, &mut issues);
     if sensors.by_sender.is_empty() {
         return Err(unknown(format!(
-            "it is a capture of the network with {udp_frames} datagrams among its first {LOOK} frames, none of them \
+            "it is a network capture with {udp_frames} datagrams among its first {LOOK} frames, none of them \
              of a Velodyne (VLP-16, VLP-32C, HDL-32E, HDL-64E) or an Ouster; record the data port of the lidar"
         )));
     }
@@ -105,7 +106,7 @@ impl Recording for Capture {
         let chosen: Vec<Arc<str>> =
             self.topics().into_iter().filter(|t| wanted(t)).map(|t| t.topic).collect();
         let Some(reader) = CaptureReader::open(&self.source)? else {
-            let detail = "it is no capture any more".to_owned();
+            let detail = "it is no longer a network capture: the file has changed".to_owned();
             return Err(RecordingError::UnknownFormat { path: self.source.name().to_owned(), detail });
         };
         let is_chosen = |sensor: &CapturedSensor| chosen.contains(&sensor.topic);

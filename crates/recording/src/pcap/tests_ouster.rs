@@ -79,15 +79,15 @@ fn metadata_of_the_serial_number_are_right_whatever_their_name() {
     ];
     let (altitudes, issues) = read("drive.pcap", &[lidar(ONE, 7, 0)], &files);
     assert_eq!(altitudes, [("/ouster/points".to_owned(), 15)]);
-    let told: Vec<&Issue> = issues.iter().filter(|i| i.kind == IssueKind::OusterMetadataFound).collect();
-    assert!(told.len() == 1 && told[0].text().contains("some.json"), "{issues:?}");
+    let reported: Vec<&Issue> = issues.iter().filter(|i| i.kind == IssueKind::OusterMetadataFound).collect();
+    assert!(reported.len() == 1 && reported[0].text().contains("some.json"), "{issues:?}");
     // Neither of two files from other starts of the sensor can be chosen.
     let (_, issues) = read("drive.pcap", &[lidar(ONE, 9, 0)], &files[1..]);
     assert_eq!(count(&issues, IssueKind::NoOusterMetadata), 1, "{issues:?}");
 }
 
 #[test]
-fn sensors_that_send_to_the_same_port_are_told_apart() {
+fn sensors_that_send_to_the_same_port_are_distinguished() {
     let packets = [lidar(ONE, 7, 0), lidar(OTHER, 3, 0), lidar(ONE, 7, 16), lidar(OTHER, 3, 16)];
     let files = [("drive_0.json", metadata(ONE, 7, 10.0)), ("drive_1.json", metadata(OTHER, 3, 5.0))];
     let (altitudes, issues) = read("drive.pcap", &packets, &files);
@@ -96,7 +96,7 @@ fn sensors_that_send_to_the_same_port_are_told_apart() {
 }
 
 #[test]
-fn metadata_under_the_name_of_the_capture_are_believed_with_a_warning() {
+fn metadata_with_the_name_of_the_capture_are_used_with_a_warning() {
     let files = [("drive.json", metadata(OTHER, 7, 5.0)), ("drive_2.json", metadata(OTHER + 1, 7, 5.0))];
     let (altitudes, issues) = read("drive.pcap", &[lidar(ONE, 7, 0)], &files);
     assert_eq!((altitudes[0].1, count(&issues, IssueKind::OtherOusterMetadata)), (5, 1), "{issues:?}");

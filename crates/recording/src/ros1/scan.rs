@@ -140,16 +140,16 @@ impl Scan<'_> {
             return Ok((at + head.record_bytes()).min(self.chunks_end));
         };
         let next_chunk = self.next_known_chunk(at);
-        let lies = data + stored_bytes > next_chunk
+        let is_wrong = data + stored_bytes > next_chunk
             || (compression == Compression::None && stored_bytes != u64::from(head.size));
-        if compression == Compression::None && (lies || stored_bytes > MAX_SEGMENT_BYTES) {
+        if compression == Compression::None && (is_wrong || stored_bytes > MAX_SEGMENT_BYTES) {
             // An uncompressed chunk needs no boundary: its records can be read as if they were outside of it.
-            if lies {
+            if is_wrong {
                 self.index.issues.add(IssueKind::WrongChunkLength);
             }
             return Ok(data);
         }
-        if lies {
+        if is_wrong {
             stored_bytes = self.find_record(data)?.unwrap_or(self.chunks_end).min(next_chunk) - data;
         }
         let segment = Segment {
@@ -162,10 +162,10 @@ impl Scan<'_> {
             last: 0,
             connections: None,
         };
-        let mut pending = PendingChunk { segment, counts: BTreeMap::new(), sound: !lies, known: false };
+        let mut pending = PendingChunk { segment, counts: BTreeMap::new(), sound: !is_wrong, known: false };
         let info = self.chunks.get(&at);
         self.visited_chunks += usize::from(info.is_some());
-        if let Some(info) = info.filter(|_| !lies) {
+        if let Some(info) = info.filter(|_| !is_wrong) {
             pending.known = true;
             (pending.segment.first, pending.segment.last) = (info.first, info.last);
             pending.counts = info.counts.iter().map(|(id, messages)| (*id, u64::from(*messages))).collect();

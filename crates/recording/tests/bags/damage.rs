@@ -89,7 +89,7 @@ proptest! {
     }
 
     #[test]
-    fn a_missing_stretch_is_survived(which in 0..FORMATS.len(), from in 0.0..1.0f64, bytes in 1..5000usize) {
+    fn a_missing_block_is_survived(which in 0..FORMATS.len(), from in 0.0..1.0f64, bytes in 1..5000usize) {
         let mut data = RECORDINGS.1[which].clone();
         let from = (data.len() as f64 * from) as usize;
         data.drain(from..(from + bytes).min(data.len()));
@@ -175,7 +175,7 @@ fn a_wrong_array_length_costs_one_message() {
 
 /// Small compressed data that claim to unpack to gigabytes, or do.
 #[test]
-fn lying_sizes_do_not_take_memory() {
+fn wrong_sizes_do_not_take_memory() {
     let bomb = zstd::bulk::compress(&vec![0u8; 64 << 20], 1).unwrap();
     for (claimed, packed) in [(u64::MAX, b"abcd".to_vec()), (1 << 29, b"abcd".to_vec()), (1000, bomb)] {
         let mut data = b"\x89MCAP0\r\n".to_vec();

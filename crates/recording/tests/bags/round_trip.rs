@@ -188,7 +188,7 @@ fn several_files_are_read_as_one() {
 }
 
 #[test]
-fn a_file_without_messages_among_others_is_told() {
+fn a_file_without_messages_among_others_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let mut paths = parts(folder.path(), &recorded(30));
     paths.push(folder.path().join("part_11.bag"));
@@ -238,7 +238,7 @@ fn a_file_compressed_as_a_whole_is_unpacked() {
 }
 
 #[test]
-fn what_is_no_recording_is_named() {
+fn files_that_are_no_recordings_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("x.bag");
     for (content, expected) in [

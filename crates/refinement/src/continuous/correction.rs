@@ -74,7 +74,7 @@ impl Corrections {
     }
 
     /// Uncorrected time and position of a corrected point: the inverse of [`Corrections::place`].
-    pub fn unplace(&self, sensor: usize, seconds: f64, in_tracking: &Vector3) -> (f64, Vector3) {
+    pub fn uncorrected(&self, sensor: usize, seconds: f64, in_tracking: &Vector3) -> (f64, Vector3) {
         if !self.corrected[sensor] {
             return (seconds, *in_tracking);
         }
@@ -94,7 +94,7 @@ impl Corrections {
     }
 
     /// The inverse of [`Corrections::turn`].
-    pub fn unturn(&self, sensor: usize, direction: &Vector3) -> Vector3 {
+    pub fn uncorrected_direction(&self, sensor: usize, direction: &Vector3) -> Vector3 {
         if self.corrected[sensor] {
             self.sensors[sensor].tracking_from_assumed.rotation.inverse() * direction
         } else {
@@ -115,7 +115,7 @@ mod tests {
         let (seconds, at) = corrections.place(3, 2.0, [0.5, -0.2, 1.0]);
         assert!((Vector3::from(at.map(f64::from)) - origin - Vector3::new(0.1, 0.0, 0.0)).norm() < 1e-6);
         assert!((seconds - 2.05).abs() < 1e-12);
-        let (back, there) = corrections.unplace(3, seconds, &Vector3::from(at.map(f64::from)));
+        let (back, there) = corrections.uncorrected(3, seconds, &Vector3::from(at.map(f64::from)));
         assert!((there - origin).norm() < 1e-6 && (back - 2.0).abs() < 1e-12);
         assert_eq!(corrections.place(2, 1.0, [1.0; 3]), (1.0, [1.0; 3]));
     }

@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_finite_is_no_trajectory() {
+    fn poses_that_are_not_finite_are_no_trajectory() {
         let mut trajectory = DenseTrajectory::new(&poses()).unwrap();
         assert!(trajectory.is_valid());
         trajectory.move_whole(&Rigid3::translation(0.0, f64::NAN, 0.0));

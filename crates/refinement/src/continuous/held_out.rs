@@ -279,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn worse_is_what_is_clearly_and_noticeably_worse() {
+    fn a_result_is_worse_if_the_difference_is_significant_and_large() {
         let costs = |after: &dyn Fn(usize) -> f64| -> BTreeMap<(usize, usize), Costs> {
             let cost = |i: usize| Costs { count: 10.0, robust: [4.0, after(i)], squares: [0.0; 2] };
             (0..100).map(|i| ((i, i + 1), cost(i))).collect()

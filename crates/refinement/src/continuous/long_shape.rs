@@ -22,7 +22,7 @@ const RETURN: f64 = 15.0;
 /// Minimum ratio of the path length to that distance.
 const DETOUR: f64 = 3.0;
 /// Minimum path length of a return, metres.
-const LEAST_WAY: f64 = 5.0;
+const LEAST_PATH_LENGTH: f64 = 5.0;
 /// Path length that a rotation counts as, metres for each radian: it shows the same surfaces to other beams.
 const METRES_PER_RADIAN: f64 = 2.0;
 /// Maximum number of places that are compared with each other.
@@ -34,19 +34,19 @@ pub(super) fn returning(trajectory: &DenseTrajectory) -> Vec<[f64; 2]> {
     let count = ((duration / STEP).ceil() as usize + 1).min(MOST_PLACES);
     let seconds = |i: usize| duration * i as f64 / (count - 1).max(1) as f64;
     let poses: Vec<Rigid3> = (0..count).map(|i| trajectory.joined_pose(seconds(i))).collect();
-    let mut ways = vec![0.0; count];
+    let mut lengths = vec![0.0; count];
     for i in 1..count {
         let motion = poses[i - 1].inverse() * poses[i];
         let step = motion.translation.vector.norm() + METRES_PER_RADIAN * motion.rotation.angle();
-        ways[i] = ways[i - 1] + step;
+        lengths[i] = lengths[i - 1] + step;
     }
     // For each place the last time at which the scanner was back.
     let mut spans: Vec<[f64; 2]> = Vec::new();
     for i in 0..count {
         let is_back = |j: &usize| {
             let distance = (poses[*j].translation.vector - poses[i].translation.vector).norm();
-            let way = ways[*j] - ways[i];
-            distance <= RETURN && way >= LEAST_WAY && way >= DETOUR * distance
+            let length = lengths[*j] - lengths[i];
+            distance <= RETURN && length >= LEAST_PATH_LENGTH && length >= DETOUR * distance
         };
         let Some(last) = (i + 1..count).rev().find(is_back) else { continue };
         match spans.last_mut() {
@@ -135,7 +135,7 @@ mod tests {
     use super::*;
     use portolan_geometry::{Duration, Quaternion, Time};
 
-    fn way(seconds: i32, place: impl Fn(f64) -> Vector3) -> DenseTrajectory {
+    fn trajectory_along(seconds: i32, place: impl Fn(f64) -> Vector3) -> DenseTrajectory {
         let poses: Vec<(Time, Rigid3)> = (0..=10 * seconds)
             .map(|i| {
                 let t = 0.1 * f64::from(i);
@@ -147,10 +147,12 @@ mod tests {
     }
 
     #[test]
-    fn a_street_is_not_bent_and_a_round_way_is() {
+    fn a_straight_trajectory_is_not_bent_and_a_loop_is() {
         let street = |t: f64| Vector3::new(10.0 * t, 0.0, 0.0);
         let round = |t: f64| Vector3::new(10.0 * (t / 5.0).cos(), 10.0 * (t / 5.0).sin(), 0.0);
-        for (mut trajectory, is_held) in [(way(20, street), true), (way(40, round), false)] {
+        for (mut trajectory, is_held) in
+            [(trajectory_along(20, street), true), (trajectory_along(40, round), false)]
+        {
             let duration = trajectory.duration();
             // Bends by the square of time, and shakes.
             let bend = |t: f64| Vector3::new(0.0, 0.0, 0.01 * t * t + 0.02 * (20.0 * t).sin());

@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn jumps_lose_weight() {
+    fn jumps_are_downweighted() {
         let pose = |x: f64| Rigid3::translation(x, 0.0, 0.0);
         let poses = [0.0, 1.0, 2.0].map(|s| (Time::from_unix_seconds(s), pose(s)));
         let trajectory = DenseTrajectory::new(&poses).unwrap();

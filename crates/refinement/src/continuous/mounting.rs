@@ -12,7 +12,7 @@ use super::regression::{Fit, fit};
 use crate::motion_sensors::MotionSensors;
 
 /// Duration of the motions that are compared, seconds.
-const STRETCH: f64 = 0.5;
+const SEGMENT: f64 = 0.5;
 /// Maximum number of these motions, spread over the whole.
 const MOST: usize = 1500;
 /// Number of standard deviations by which an estimate must differ from zero.
@@ -103,21 +103,22 @@ impl Mounting {
             format!("rotated by ({a:.2}, {b:.2}, {c:.2}) deg"),
             format!("delayed by {:.3} s", self.delay),
         ];
-        let said: Vec<String> = parts.into_iter().zip(significant).filter(|p| p.1).map(|p| p.0).collect();
-        said.join(" and ")
+        let significant_parts: Vec<String> =
+            parts.into_iter().zip(significant).filter(|p| p.1).map(|p| p.0).collect();
+        significant_parts.join(" and ")
     }
 }
 
 /// Times at which the compared motions begin, spread over the trajectory.
 fn moments(trajectory: &DenseTrajectory) -> Vec<f64> {
-    let last = trajectory.duration() - STRETCH - 2.0 * PRIOR[2];
-    let count = ((last - PRIOR[2]) / (0.5 * STRETCH)).max(0.0) as usize;
+    let last = trajectory.duration() - SEGMENT - 2.0 * PRIOR[2];
+    let count = ((last - PRIOR[2]) / (0.5 * SEGMENT)).max(0.0) as usize;
     let stride = count.div_ceil(MOST).max(1);
-    (0..count).step_by(stride).map(|i| PRIOR[2] + i as f64 * 0.5 * STRETCH).collect()
+    (0..count).step_by(stride).map(|i| PRIOR[2] + i as f64 * 0.5 * SEGMENT).collect()
 }
 
 fn motion(pose: impl Fn(f64) -> Rigid3, from: f64) -> Rigid3 {
-    pose(from).inverse() * pose(from + STRETCH)
+    pose(from).inverse() * pose(from + SEGMENT)
 }
 
 fn three(v: &DVector<f64>, first: usize) -> Vector3 {
@@ -132,7 +133,7 @@ fn seven(fit: &Fit) -> ([f64; 7], [f64; 7]) {
 /// to the difference between input and result: with them the motions of the input fit those of the points;
 /// the delay is added to its stamps. None if they explain little, or are not constant in time, as with drift.
 pub(crate) fn of_input(trajectory: &DenseTrajectory, gaps: &[[f64; 2]]) -> Option<Mounting> {
-    let is_free = |s: &f64| !gaps.iter().any(|g| *s < g[1] + 0.5 && s + STRETCH > g[0] - 0.5);
+    let is_free = |s: &f64| !gaps.iter().any(|g| *s < g[1] + 0.5 && s + SEGMENT > g[0] - 0.5);
     let moments: Vec<f64> = moments(trajectory).into_iter().filter(is_free).collect();
     let whole = fit_input(trajectory, &moments)?;
     if whole.explained < EXPLAINED {
@@ -181,8 +182,8 @@ pub(crate) fn of_imu(trajectory: &DenseTrajectory, sensors: &MotionSensors, star
     let by_gyroscope = |v: &DVector<f64>| -> Vec<Vec<f64>> {
         let turn = quaternion_from_angle_axis(&three(v, 0));
         let residual = |s: &f64| {
-            let Some(measured) = track.motion(s - v[6], s - v[6] + STRETCH) else { return vec![0.0; 3] };
-            let bias = quaternion_from_angle_axis(&(three(v, 3) * -STRETCH));
+            let Some(measured) = track.motion(s - v[6], s - v[6] + SEGMENT) else { return vec![0.0; 3] };
+            let bias = quaternion_from_angle_axis(&(three(v, 3) * -SEGMENT));
             let turned = motion(|s| trajectory.pose(s), *s).rotation;
             let in_tracking = turn * (measured.rotation * bias) * turn.inverse();
             let r = angle_axis_from_quaternion(&(turned.inverse() * in_tracking));
@@ -216,7 +217,7 @@ fn by_accelerometer(
     turn: portolan_geometry::Quaternion,
     delay: f64,
 ) -> Option<Fit> {
-    struct Stretch {
+    struct Segment {
         /// Change of velocity: measured by the accelerometer minus that of the tracking frame, world axes.
         change: Vector3,
         /// Maps a lever arm to its change of velocity.
@@ -227,10 +228,10 @@ fn by_accelerometer(
     }
     let samples = sensors.imu();
     let seconds = |i: usize| samples[i].time.seconds_since(start) + delay;
-    let mut stretches = Vec::new();
+    let mut segments = Vec::new();
     for from in moments(trajectory) {
         let first = samples.partition_point(|s| s.time.seconds_since(start) + delay < from);
-        let end = samples.partition_point(|s| s.time.seconds_since(start) + delay < from + STRETCH);
+        let end = samples.partition_point(|s| s.time.seconds_since(start) + delay < from + SEGMENT);
         if end - first < 10 || end >= samples.len() {
             continue;
         }
@@ -245,14 +246,14 @@ fn by_accelerometer(
         let [(v0, w0), (v1, w1)] = ends.map(|s| trajectory.velocity(s));
         let [r0, r1] = ends.map(|s| trajectory.pose(s).rotation.to_rotation_matrix().into_inner());
         let lever = w1.cross_matrix() * r1 - w0.cross_matrix() * r0;
-        stretches.push(Stretch { change: change - (v1 - v0), lever, bias, seconds: ends[1] - ends[0] });
+        segments.push(Segment { change: change - (v1 - v0), lever, bias, seconds: ends[1] - ends[0] });
     }
     let residuals = |v: &DVector<f64>| -> Vec<Vec<f64>> {
-        let residual = |s: &Stretch| {
+        let residual = |s: &Segment| {
             let r = s.change - s.lever * three(v, 0) - s.bias * three(v, 3) - three(v, 6) * s.seconds;
             vec![r.x, r.y, r.z]
         };
-        stretches.iter().map(residual).collect()
+        segments.iter().map(residual).collect()
     };
     let deviations =
         [PRIOR[0], PRIOR[0], PRIOR[0], PRIOR[4], PRIOR[4], PRIOR[4], PRIOR[5], PRIOR[5], PRIOR[5]];

@@ -45,8 +45,12 @@ impl Gauge {
     /// Fails if the sensors do not determine it.
     pub(crate) fn check(self, sensors: &MotionSensors) -> Result<(), RefineError> {
         let missing = match self {
-            Self::Gravity if sensors.imu().is_empty() => "z can only point up if there is an IMU",
-            Self::Fixes if sensors.fixes().is_empty() => "there are no fixes to lay the result on",
+            Self::Gravity if sensors.imu().is_empty() => {
+                "the result can only be aligned with gravity if there is an IMU"
+            }
+            Self::Fixes if sensors.fixes().is_empty() => {
+                "there are no satellite fixes to align the result with"
+            }
             _ => return Ok(()),
         };
         Err(RefineError::Option(missing.to_owned()))
@@ -54,7 +58,7 @@ impl Gauge {
 
     /// Moves the whole trajectory according to the gauge. It begins at the first pose of the input; gravity
     /// and fixes were estimated before it was moved there by `anchor`.
-    pub(crate) fn settle(
+    pub(crate) fn apply(
         self,
         trajectory: &mut DenseTrajectory,
         anchor: &Rigid3,

@@ -177,7 +177,7 @@ impl<'a> OtherSensors<'a> {
             .filter(|(s, _)| (0.0..=trajectory.duration()).contains(s))
             .collect();
         let up = self.found.gravity_in_world.map_or(Vector3::z(), Vector3::from);
-        let Some(world_from_fixed) = lay(&fixes, trajectory, &up) else { return Vec::new() };
+        let Some(world_from_fixed) = align_fixes(&fixes, trajectory, &up) else { return Vec::new() };
         self.world_from_fixed = Some(world_from_fixed);
         let residual = |(seconds, place): &(f64, Vector3)| {
             trajectory.pose(*seconds).translation.vector
@@ -273,7 +273,7 @@ fn for_each_second(trajectory: &DenseTrajectory, mut visit: impl FnMut(f64, f64)
 }
 
 /// Aligns fixes with a trajectory: heading and position by robust least squares, with the given up direction.
-fn lay(fixes: &[(f64, Vector3)], trajectory: &DenseTrajectory, up: &Vector3) -> Option<Rigid3> {
+fn align_fixes(fixes: &[(f64, Vector3)], trajectory: &DenseTrajectory, up: &Vector3) -> Option<Rigid3> {
     if fixes.len() < LEAST_FIXES {
         return None;
     }

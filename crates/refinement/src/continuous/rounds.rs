@@ -10,7 +10,7 @@ use super::odometry::{noise_found, odometry_terms};
 use super::other_sensors::OtherSensors;
 use super::report::RefineStep;
 use super::surfels::SurfelMap;
-use super::unknowns::{PER_SENSOR, PRIOR, SensorUnknowns, believable_deviations};
+use super::unknowns::{PER_SENSOR, PRIOR, SensorUnknowns, capped_deviations};
 use super::{DenseTrajectory, Knots, Run, SURFACES};
 use crate::RefineError;
 
@@ -189,7 +189,7 @@ impl<'r, 'a, 'b> Rounds<'r, 'a, 'b> {
             let so_far = self.found.get(i).copied().unwrap_or_default();
             let value =
                 std::array::from_fn(|k| so_far[k] + increment.value[k] * f64::from(u8::from(!calibrated)));
-            let deviation = believable_deviations(&increment.covariance.unwrap_or_default());
+            let deviation = capped_deviations(&increment.covariance.unwrap_or_default());
             let name = self.run.session.sensor_names[increment.sensor].clone();
             let mounting = Mounting::new(&name, value, deviation, PRIOR);
             self.run.session.note_sensor(mounting, calibrated);

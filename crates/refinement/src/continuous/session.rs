@@ -216,14 +216,14 @@ fn no_overlap(store: &PointStore, points: &TimedPoints, trajectory: &DenseTrajec
     let recorded = last.seconds_since(first);
     // Offset between the beginnings and offset between the ends.
     let (a, b) = (first.seconds_since(start), last.seconds_since(end));
-    let found = time_base::look(points, trajectory, 0.5 * (a + b), 0.5 * (a - b).abs() + 2.0);
+    let found = time_base::test_time_base(points, trajectory, 0.5 * (a + b), 0.5 * (a - b).abs() + 2.0);
     let hint = match found {
         TimeBase::FitsWith(delay) => {
             format!(" ({delay:.3} s added to the stamps of the trajectory make the points fit together)")
         }
         _ if (recorded - posed).abs() < 0.1 * recorded.max(posed) => {
             format!(
-                " (they last equally long: {a:.3} s added to the trajectory would lay one over the other)"
+                " (both have the same duration: {a:.3} s added to the stamps of the trajectory would align them)"
             )
         }
         _ => String::new(),

@@ -185,13 +185,13 @@ impl Workspace {
         let mut found = self.surfels(trajectory, &origin);
         for surfel in &mut found.surfels {
             surfel.sensor = sensor as u8;
-            let (seconds, mean) = corrections.unplace(sensor, surfel.seconds, &surfel.mean_in_tracking);
+            let (seconds, mean) = corrections.uncorrected(sensor, surfel.seconds, &surfel.mean_in_tracking);
             (surfel.seconds, surfel.mean_in_tracking) = (seconds, mean);
-            surfel.normal_in_tracking = corrections.unturn(sensor, &surfel.normal_in_tracking);
+            surfel.normal_in_tracking = corrections.uncorrected_direction(sensor, &surfel.normal_in_tracking);
         }
         for cluster in &mut found.clusters {
             let at = Vector3::from(cluster.in_tracking.map(f64::from));
-            let (seconds, at) = corrections.unplace(sensor, cluster.seconds, &at);
+            let (seconds, at) = corrections.uncorrected(sensor, cluster.seconds, &at);
             cluster.seconds = seconds;
             cluster.in_tracking = [at.x as f32, at.y as f32, at.z as f32];
         }

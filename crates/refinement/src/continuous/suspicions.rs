@@ -24,7 +24,7 @@ impl Session<'_> {
 
     /// Before the refinement: checks whether the trajectory belongs to the points.
     pub fn look_for_suspicions(&mut self) {
-        match time_base::look(&self.points, &self.trajectory, 0.0, 0.0) {
+        match time_base::test_time_base(&self.points, &self.trajectory, 0.0, 0.0) {
             TimeBase::Fits => {}
             TimeBase::FitsWith(delay) => self.warn(format!(
                 "wrong time base? The points fit together better with {delay:.3} s added to the stamps of the \
@@ -60,22 +60,22 @@ impl Session<'_> {
     pub fn judge_mountings(&mut self, sensors: &MotionSensors) {
         if let Some(mounting) = mounting::of_input(&self.trajectory, &self.coverage.gaps) {
             let significant = mounting.significant(SIGNIFICANT);
-            let mut said = Vec::new();
+            let mut warnings = Vec::new();
             if significant[0] || significant[1] {
                 let words = mounting.words([significant[0], significant[1], false]);
-                said.push(format!(
+                warnings.push(format!(
                     "wrong extrinsics? The motion of the input fits the points better with the sensors {words} in the \
                      tracking frame"
                 ));
             }
             if significant[2] {
                 let delay = mounting.delay;
-                said.push(format!(
+                warnings.push(format!(
                     "wrong time base? The motion of the input fits the points better with {delay:.3} s added to its stamps \
                      (--time-offset {delay:.3})"
                 ));
             }
-            said.into_iter().for_each(|text| self.warn(text));
+            warnings.into_iter().for_each(|text| self.warn(text));
         }
         let imu = mounting::of_imu(&self.trajectory, sensors, self.trajectory.start());
         if let Some(imu) = &imu {
@@ -96,7 +96,7 @@ impl Session<'_> {
     /// At the end: warns of the parts of the input that could not be used.
     pub fn warn_of_input(&mut self) {
         let report = &self.report;
-        let mut said = Vec::new();
+        let mut warnings = Vec::new();
         let sharpened = match (&report.sharpness_before, &report.sharpness_after) {
             (Some(before), Some(after)) => before.mean_map_entropy - after.mean_map_entropy,
             _ => 0.0,
@@ -107,14 +107,14 @@ impl Session<'_> {
             Method::SemiRigid(_) => true,
         };
         if self.fits_nowhere && (sharpened < SHARPENED || !is_validated) {
-            said.push(
+            warnings.push(
                 "the trajectory makes the points no sharper than if the sensors had stood still: is it that of another \
                  recording, of another frame, or of another clock?"
                     .to_owned(),
             );
         }
         if let Some(share) = report.planar_fraction.filter(|share| *share < LEAST_PLANAR_SHARE) {
-            said.push(format!(
+            warnings.push(format!(
                 "only {:.0} % of the points lie on surfaces: is it the trajectory of this recording, of the frame \
                  the points are in, and of the same clock?",
                 100.0 * share
@@ -136,21 +136,21 @@ impl Session<'_> {
                 1 => parts.push(format!("has a gap of {gaps:.1} s")),
                 count => parts.push(format!("has {count} gaps of {gaps:.1} s together")),
             }
-            said.push(format!(
+            warnings.push(format!(
                 "the trajectory is shorter than the recording: {} of {all} points were not used; it {}",
                 report.points_outside_trajectory,
                 parts.join(", ")
             ));
         }
         for sensor in report.sensors.iter().filter(|s| s.empty_sweeps > 0) {
-            said.push(format!(
+            warnings.push(format!(
                 "{} of {} sweeps of {} are empty",
                 sensor.empty_sweeps,
                 sensor.sweeps + sensor.empty_sweeps,
                 name(&sensor.name)
             ));
         }
-        said.into_iter().for_each(|text| self.warn(text));
+        warnings.into_iter().for_each(|text| self.warn(text));
     }
 }
 

@@ -58,7 +58,12 @@ struct Sample {
 
 /// Tests whether the trajectory fits. The search begins at the offset `around`, seconds added to its stamps,
 /// and covers at least `reach` seconds to each side.
-pub(crate) fn look(points: &TimedPoints, trajectory: &DenseTrajectory, around: f64, reach: f64) -> TimeBase {
+pub(crate) fn test_time_base(
+    points: &TimedPoints,
+    trajectory: &DenseTrajectory,
+    around: f64,
+    reach: f64,
+) -> TimeBase {
     let samples = samples(points);
     if samples.len() < WINDOWS / 3 {
         return TimeBase::Fits;
@@ -129,12 +134,12 @@ fn pose_within(trajectory: &DenseTrajectory, seconds: f64) -> Option<Rigid3> {
 
 /// Mean speed of the trajectory over the windows, m/s.
 fn speed(trajectory: &DenseTrajectory, samples: &[Sample]) -> f64 {
-    let ways = samples.iter().filter_map(|sample| {
+    let speeds = samples.iter().filter_map(|sample| {
         let [from, to] = [sample.points.first()?.0, sample.points.last()?.0];
         let [a, b] = [pose_within(trajectory, from)?, pose_within(trajectory, to)?];
         (to > from).then(|| (b.translation.vector - a.translation.vector).norm() / (to - from))
     });
-    let (sum, count) = ways.fold((0.0, 0.0), |(sum, count), speed| (sum + speed, count + 1.0));
+    let (sum, count) = speeds.fold((0.0, 0.0), |(sum, count), speed| (sum + speed, count + 1.0));
     if count > 0.0 { sum / count } else { 0.0 }
 }
 

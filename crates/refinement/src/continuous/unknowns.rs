@@ -117,7 +117,7 @@ pub(crate) fn blocks(covariance: &DMatrix<f64>) -> Vec<SMatrix<f64, PER_SENSOR, 
 
 /// Realistic standard deviations: a direction of translation or rotation with much less information than the
 /// best one is observed only through errors of normals, that is, not at all.
-pub(crate) fn believable_deviations(covariance: &SMatrix<f64, PER_SENSOR, PER_SENSOR>) -> [f64; PER_SENSOR] {
+pub(crate) fn capped_deviations(covariance: &SMatrix<f64, PER_SENSOR, PER_SENSOR>) -> [f64; PER_SENSOR] {
     let mut deviations = [covariance[(6, 6)].max(0.0).sqrt(); PER_SENSOR];
     for (first, prior) in [(0, PRIOR[0]), (3, PRIOR[1])] {
         let block = covariance.fixed_view::<3, 3>(first, first).into_owned();
@@ -126,8 +126,8 @@ pub(crate) fn believable_deviations(covariance: &SMatrix<f64, PER_SENSOR, PER_SE
         for k in 0..3 {
             let variance = (0..3).map(|i| {
                 let own = eigen.eigenvalues[i].max(0.0);
-                let believed = if own * LEAST_SHARE > least { prior * prior } else { own };
-                believed * eigen.eigenvectors[(k, i)].powi(2)
+                let variance_used = if own * LEAST_SHARE > least { prior * prior } else { own };
+                variance_used * eigen.eigenvectors[(k, i)].powi(2)
             });
             deviations[first + k] = variance.sum::<f64>().sqrt();
         }

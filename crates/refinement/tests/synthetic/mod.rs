@@ -115,7 +115,7 @@ pub struct Lidar {
     pub name: &'static str,
     pub tracking_from_lidar: Rigid3,
     /// Where the recording says that it is.
-    pub said: Rigid3,
+    pub assumed_mounting: Rigid3,
     /// Its stamps are so many seconds too early.
     pub delay: f64,
 }
@@ -123,7 +123,12 @@ pub struct Lidar {
 impl Lidar {
     /// One at the tracking frame, of which everything is known.
     pub fn known() -> Self {
-        Self { name: "", tracking_from_lidar: Rigid3::identity(), said: Rigid3::identity(), delay: 0.0 }
+        Self {
+            name: "",
+            tracking_from_lidar: Rigid3::identity(),
+            assumed_mounting: Rigid3::identity(),
+            delay: 0.0,
+        }
     }
 }
 
@@ -170,14 +175,14 @@ fn sweep(
             let Some(range) = cast(walls, &pose.translation.vector, &(pose.rotation * beam)) else {
                 continue;
             };
-            let p = lidar.said * na::Point3::from(beam * (range + 0.01 * random.normal()));
+            let p = lidar.assumed_mounting * na::Point3::from(beam * (range + 0.01 * random.normal()));
             points.push(TimedPoint {
                 position: Point3f::new(p.x as f32, p.y as f32, p.z as f32),
                 time: time as f32,
             });
         }
     }
-    let origin = lidar.said.translation.vector;
+    let origin = lidar.assumed_mounting.translation.vector;
     TimedPointCloudData {
         time: Time::from_unix_seconds(1000.0) + Duration::from_seconds(end - lidar.delay),
         origin_in_tracking: Point3f::new(origin.x as f32, origin.y as f32, origin.z as f32),

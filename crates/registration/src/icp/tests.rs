@@ -102,7 +102,7 @@ fn scans_that_cannot_be_matched_are_named() {
 }
 
 #[test]
-fn points_that_are_no_numbers_do_not_count() {
+fn points_that_are_not_finite_do_not_count() {
     let model = ScanCloud::new(corner());
     let mut points: Vec<[f32; 3]> = corner().into_iter().step_by(2).map(|p| p.map(|v| v + 0.01)).collect();
     let clean =

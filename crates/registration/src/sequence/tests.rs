@@ -80,7 +80,7 @@ fn scans_are_registered_one_after_the_other() {
 }
 
 #[test]
-fn loops_are_closed_where_the_way_comes_back() {
+fn loops_are_closed_where_the_path_returns() {
     let (scans, truth) = hall(27);
     let mut poses = drifted(&truth);
     // Matching is switched off in effect: only the loop closure corrects the poses.
@@ -96,7 +96,7 @@ fn loops_are_closed_where_the_way_comes_back() {
 }
 
 #[test]
-fn a_scan_of_elsewhere_is_named_and_moves_with_the_others() {
+fn a_scan_of_another_place_is_named_and_moves_with_the_others() {
     let (mut scans, truth) = hall(4);
     scans[2] = ScanCloud::new((0..100).map(|i| [500.0 + i as f32, 900.0, 30.0]).collect());
     let mut poses = truth.clone();

@@ -114,7 +114,7 @@ fn the_last_datum_before_the_common_start_is_kept() {
 }
 
 #[test]
-fn one_trajectory_names_who_is_waited_for() {
+fn one_trajectory_names_the_sensor_that_is_waited_for() {
     let names = ["horizontal", "imu", "odometry", "vertical"];
     let mut bench = Bench::reference(&[(0, &names)]);
     for name in names {
@@ -203,7 +203,7 @@ fn standing_clocks_fill_a_queue_only_so_far() {
 }
 
 #[test]
-fn a_sensor_that_spoke_once_does_not_hold_back_the_start() {
+fn a_sensor_with_one_message_does_not_delay_the_start() {
     let mut bench = Bench::new(CollatorOptions::default(), &[(0, &["a", "b"])]);
     bench.add(0, "a", 0);
     for second in 1..20 {

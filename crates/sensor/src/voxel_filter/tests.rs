@@ -72,7 +72,7 @@ fn times_take_no_part() {
 }
 
 #[test]
-fn what_is_not_finite_is_left_out() {
+fn points_that_are_not_finite_are_left_out() {
     let cloud = points(&[[f32::NAN, 0.0, 0.0], [1.0, 2.0, 3.0], [0.0, f32::INFINITY, 0.0]]);
     for resolution in [0.5, 0.0, f32::NAN] {
         assert_eq!(voxel_filter_indices(&cloud, |p| *p, resolution), [1]);

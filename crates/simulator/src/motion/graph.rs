@@ -19,7 +19,7 @@ pub(crate) struct PassageGraph {
 }
 
 /// Shortest paths along passages from one place.
-struct Ways {
+struct ShortestPaths {
     from: usize,
     distances: Vec<u64>,
     previous: Vec<usize>,
@@ -46,7 +46,7 @@ impl PassageGraph {
         let mut unseen: BTreeSet<usize> = (0..self.passages.len()).collect();
         let mut here = home;
         while !unseen.is_empty() {
-            let ways = self.ways_from(here, None);
+            let paths = self.paths_from(here, None);
             let mut ends: Vec<(usize, usize, usize)> = Vec::with_capacity(2 * unseen.len());
             for index in &unseen {
                 let passage = &self.passages[*index];
@@ -54,11 +54,11 @@ impl PassageGraph {
                 ends.push((*index, passage.to, passage.from));
             }
             random.shuffle(&mut ends);
-            let nearest = ends.iter().min_by_key(|(_, entry, _)| ways.distances[*entry]);
-            let Some(&(index, entry, exit)) = nearest.filter(|e| ways.distances[e.1] != UNREACHED) else {
+            let nearest = ends.iter().min_by_key(|(_, entry, _)| paths.distances[*entry]);
+            let Some(&(index, entry, exit)) = nearest.filter(|e| paths.distances[e.1] != UNREACHED) else {
                 break;
             };
-            places.extend(ways.to(entry));
+            places.extend(paths.to(entry));
             let rooms = &self.passages[index].rooms;
             if entry == self.passages[index].from {
                 places.extend(rooms.iter());
@@ -69,7 +69,7 @@ impl PassageGraph {
             here = exit;
             unseen.remove(&index);
         }
-        places.extend(self.ways_from(here, None).to(home));
+        places.extend(self.paths_from(here, None).to(home));
         places
     }
 
@@ -77,11 +77,11 @@ impl PassageGraph {
     fn shortest_lap(&self, home: usize, random: &mut Random) -> Vec<usize> {
         let mut best: Option<(u64, Vec<usize>)> = None;
         for (passage, next) in &self.neighbours[home] {
-            let ways = self.ways_from(*next, Some(*passage));
-            let length = ways.distances[home].saturating_add(self.lengths[*passage]);
+            let paths = self.paths_from(*next, Some(*passage));
+            let length = paths.distances[home].saturating_add(self.lengths[*passage]);
             if length != UNREACHED && best.as_ref().is_none_or(|(shortest, _)| length < *shortest) {
                 let mut lap = vec![*next];
-                lap.extend(ways.to(home));
+                lap.extend(paths.to(home));
                 best = Some((length, lap));
             }
         }
@@ -96,39 +96,40 @@ impl PassageGraph {
     }
 
     /// Shortest paths by Dijkstra's algorithm, without one passage.
-    fn ways_from(&self, from: usize, without: Option<usize>) -> Ways {
+    fn paths_from(&self, from: usize, without: Option<usize>) -> ShortestPaths {
         let count = self.neighbours.len();
-        let mut ways = Ways { from, distances: vec![UNREACHED; count], previous: vec![from; count] };
-        ways.distances[from] = 0;
+        let mut paths =
+            ShortestPaths { from, distances: vec![UNREACHED; count], previous: vec![from; count] };
+        paths.distances[from] = 0;
         let mut open = BinaryHeap::from([Reverse((0_u64, from))]);
         while let Some(Reverse((distance, at))) = open.pop() {
-            if distance > ways.distances[at] {
+            if distance > paths.distances[at] {
                 continue;
             }
             for (passage, next) in &self.neighbours[at] {
                 let further = distance.saturating_add(self.lengths[*passage]);
-                if Some(*passage) != without && further < ways.distances[*next] {
-                    ways.distances[*next] = further;
-                    ways.previous[*next] = at;
+                if Some(*passage) != without && further < paths.distances[*next] {
+                    paths.distances[*next] = further;
+                    paths.previous[*next] = at;
                     open.push(Reverse((further, *next)));
                 }
             }
         }
-        ways
+        paths
     }
 }
 
-impl Ways {
+impl ShortestPaths {
     /// The places after the start up to `to`; empty if it cannot be reached.
     fn to(&self, to: usize) -> Vec<usize> {
-        let mut way = Vec::new();
+        let mut path = Vec::new();
         let mut at = to;
         while at != self.from && self.distances[at] != UNREACHED {
-            way.push(at);
+            path.push(at);
             at = self.previous[at];
         }
-        way.reverse();
-        way
+        path.reverse();
+        path
     }
 }
 

@@ -61,7 +61,7 @@ impl Itinerary {
     pub fn plan(request: &ItineraryRequest<'_>, random: &mut Random) -> Option<Self> {
         let home = *request.loops.first()?.first()?;
         let mut plan = Self { strokes: Vec::new(), home, speed: request.speed, duration: request.rest };
-        let loops: Vec<Stroke> = request.loops.iter().map(|way| Stroke::new(way.clone())).collect();
+        let loops: Vec<Stroke> = request.loops.iter().map(|route| Stroke::new(route.clone())).collect();
         let Some(duration) = request.duration else {
             if !request.standing {
                 plan.push(joined(&loops));
@@ -96,8 +96,8 @@ impl Itinerary {
         }
         let spare = end - self.duration - 2.0 * START_TIME - TURN_TIME;
         let out = 0.5 * spare * self.speed;
-        if let (true, Some(way)) = (out > SHORTEST_OUTING, loops.get(next % loops.len().max(1))) {
-            let outing = way.prefix(out * random.between(0.97, 1.0));
+        if let (true, Some(route)) = (out > SHORTEST_OUTING, loops.get(next % loops.len().max(1))) {
+            let outing = route.prefix(out * random.between(0.97, 1.0));
             let mut back = outing.points.clone();
             back.reverse();
             if self.strokes.is_empty() {
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn the_time_is_filled_and_one_comes_home() {
+    fn the_time_is_filled_and_the_tour_ends_at_the_start() {
         let loops = [square(10.0), square(20.0)];
         for duration in [8.0, 20.0, 44.0, 60.0, 120.0, 500.0] {
             let request = ItineraryRequest {

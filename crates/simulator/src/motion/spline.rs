@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn before_and_after_it_stands() {
+    fn velocity_is_zero_before_and_after() {
         let motion = SplineMotion::new(vec![[0.0; 6], [1.0; 6], [2.0; 6]], 0.1).unwrap();
         assert_eq!(motion.state(9.0).velocity_in_map, Vector3::zeros());
         assert_eq!(motion.state(9.0).map_from_base, motion.state(0.1).map_from_base);

@@ -6,7 +6,7 @@ use super::builder::{MotionLimits, Waypoint, turning_time};
 use super::graph::PassageGraph;
 use super::{Motion, Walk};
 use portolan_worlds::Random;
-use portolan_worlds::two_d::{ClearanceGrid, FloorPlan, Person, WayCosts, WaySearch};
+use portolan_worlds::two_d::{ClearanceGrid, FloorPlan, PathCosts, PathSearch, Person};
 
 /// Radius around the middle of a room in which its roomiest spot is visited, metres.
 const SPOT_RADIUS: f64 = 1.3;
@@ -49,7 +49,7 @@ pub(crate) fn plan_people(
     random: &mut Random,
 ) -> Vec<Person> {
     let mut people = Vec::new();
-    let mut ways = WaySearch::new(grid);
+    let mut paths = PathSearch::new(grid);
     for _ in 0..8 * count {
         if people.len() == count || plan.places.is_empty() {
             break;
@@ -60,8 +60,8 @@ pub(crate) fn plan_people(
             grid.nearest_free(&(place.position + aside), 1.5)
         };
         let Some(ends) = (0..3).map(|_| spot()).collect::<Option<Vec<Vector2>>>() else { continue };
-        let Some(there) = ways.way(&ends[0], &ends[1]) else { continue };
-        let Some(on) = ways.way(&ends[1], &ends[2]) else { continue };
+        let Some(there) = paths.path(&ends[0], &ends[1]) else { continue };
+        let Some(on) = paths.path(&ends[1], &ends[2]) else { continue };
         let corners: Vec<Vector2> = there.into_iter().chain(on.into_iter().skip(1)).collect();
         let speed = random.between(0.7, 1.4);
         people.extend(Person::new(corners, speed, random.between(0.0, 60.0)));
@@ -73,8 +73,8 @@ struct Tour<'a> {
     request: &'a TourRequest<'a>,
     /// Index of the junction where it begins and ends.
     home: usize,
-    costs: WayCosts,
-    ways: WaySearch<'a>,
+    costs: PathCosts,
+    paths: PathSearch<'a>,
     graph: PassageGraph,
     waypoints: Vec<Waypoint>,
     /// Number of waypoints after each leg.
@@ -90,7 +90,7 @@ impl<'a> Tour<'a> {
         let plan = request.plan;
         let mut junctions: Vec<usize> = (0..plan.places.len()).filter(|i| !plan.places[*i].is_room).collect();
         random.shuffle(&mut junctions);
-        let mut best: Option<(usize, usize, Vector2, WayCosts)> = None;
+        let mut best: Option<(usize, usize, Vector2, PathCosts)> = None;
         for home in junctions.iter().copied() {
             let Some(spot) = request.grid.nearest_free(&plan.places[home].position, 1.0) else { continue };
             let costs = request.grid.distances_from(&spot);
@@ -112,7 +112,7 @@ impl<'a> Tour<'a> {
             request,
             home,
             costs,
-            ways: WaySearch::new(request.grid),
+            paths: PathSearch::new(request.grid),
             graph: PassageGraph::new(plan),
             waypoints,
             leg_ends: Vec::new(),
@@ -170,9 +170,9 @@ impl<'a> Tour<'a> {
     /// Waypoints from the end of the tour so far to `target`, both included.
     fn leg_to(&mut self, target: Waypoint) -> Option<Vec<Waypoint>> {
         let here = self.waypoints.last()?.position;
-        let way = self.ways.way(&here, &target.position)?;
+        let path = self.paths.path(&here, &target.position)?;
         let mut leg: Vec<Waypoint> =
-            way.into_iter().map(|position| Waypoint { position, stop: None }).collect();
+            path.into_iter().map(|position| Waypoint { position, stop: None }).collect();
         leg.last_mut()?.stop = target.stop;
         Some(leg)
     }
@@ -187,8 +187,8 @@ impl<'a> Tour<'a> {
     fn walk_home(&mut self) -> Option<Walk> {
         let mut waypoints = self.waypoints.clone();
         let start = *waypoints.first()?;
-        let way_home = self.leg_to(start).unwrap_or_default();
-        waypoints.extend(way_home.into_iter().skip(1));
+        let path_home = self.leg_to(start).unwrap_or_default();
+        waypoints.extend(path_home.into_iter().skip(1));
         Walk::through(&waypoints, &self.request.limits, self.request.rest, self.clearance())
     }
 

@@ -245,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn the_hierarchy_finds_what_looking_at_everything_finds() {
+    fn the_hierarchy_agrees_with_brute_force() {
         let mut random = Random::new(3, "bvh", 0);
         let solids: Vec<Solid> = (0..700).map(|_| random_solid(&mut random)).collect();
         let hierarchy = Hierarchy::new(solids.clone());

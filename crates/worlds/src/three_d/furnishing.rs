@@ -10,13 +10,13 @@ use crate::two_d::Material;
 
 /// Paths that are kept free.
 #[derive(Clone, Debug, Default)]
-pub(super) struct FreeWays {
+pub(super) struct KeptFreePaths {
     segments: Vec<[Vector3; 2]>,
 }
 
-impl FreeWays {
-    pub fn add(&mut self, way: &[Vector3]) {
-        self.segments.extend(way.windows(2).map(|pair| [pair[0], pair[1]]));
+impl KeptFreePaths {
+    pub fn add(&mut self, path: &[Vector3]) {
+        self.segments.extend(path.windows(2).map(|pair| [pair[0], pair[1]]));
     }
 
     /// Horizontal distance of a position from the nearest path on its storey, metres.
@@ -54,7 +54,7 @@ impl Hall {
     }
 
     /// Furnishes the hall; `clutter` 1 is the usual density.
-    pub fn furnish(&self, draft: &mut SolidDraft, free: &FreeWays, random: &mut Random, clutter: f64) {
+    pub fn furnish(&self, draft: &mut SolidDraft, free: &KeptFreePaths, random: &mut Random, clutter: f64) {
         let [x0, y0, x1, y1] = self.area;
         let tries = ((x1 - x0) * (y1 - y0) * 0.4 * clutter) as usize;
         let kind_of_hall = random.below(3);
@@ -186,7 +186,7 @@ pub(super) fn furnish_outdoors(
     draft: &mut SolidDraft,
     ground: &dyn Fn(f64, f64) -> Vector3,
     ([x0, y0, x1, y1], built): ([f64; 4], &[[f64; 4]]),
-    free: &FreeWays,
+    free: &KeptFreePaths,
     random: &mut Random,
     trees: usize,
 ) {

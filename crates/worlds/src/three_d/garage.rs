@@ -5,7 +5,7 @@ use portolan_geometry::Vector3;
 use super::SolidPlan;
 use super::SolidStyle;
 use super::draft::SolidDraft;
-use super::furnishing::{FreeWays, draw_car, furnish_outdoors};
+use super::furnishing::{KeptFreePaths, draw_car, furnish_outdoors};
 use super::terrain::Terrain;
 use crate::random::Random;
 use crate::two_d::Material;
@@ -35,8 +35,8 @@ pub(crate) fn draw_garage(style: &SolidStyle, seed: u64) -> SolidPlan {
     let garage =
         Garage { size: style.size, decks: style.storeys, ramps, ramp_end: RAMP_START + STOREY / SLOPE };
     let mut plan = SolidPlan { loops: garage.loops(), ..SolidPlan::default() };
-    let mut free = FreeWays::default();
-    plan.loops.iter().for_each(|way| free.add(way));
+    let mut free = KeptFreePaths::default();
+    plan.loops.iter().for_each(|path| free.add(path));
     let mut draft = SolidDraft::default();
     for deck in 0..garage.decks {
         garage.draw_deck(&mut draft, deck);
@@ -80,24 +80,24 @@ impl Garage {
         let home = [near, up];
         let mut loops = Vec::new();
         for target in 1..self.decks {
-            let mut way = at(0, &[home]);
+            let mut path = at(0, &[home]);
             for deck in 0..target {
-                way.extend(at(deck, &[[RAMP_START, up]]));
-                way.extend(at(deck + 1, &[[self.ramp_end, up], [far, up - 1.0]]));
+                path.extend(at(deck, &[[RAMP_START, up]]));
+                path.extend(at(deck + 1, &[[self.ramp_end, up], [far, up - 1.0]]));
                 if deck + 1 < target {
-                    way.extend(at(deck + 1, &[[far, LANE], [near, LANE], [near, up]]));
+                    path.extend(at(deck + 1, &[[far, LANE], [near, LANE], [near, up]]));
                 }
             }
-            way.extend(at(target, &[[far, LANE], [near, LANE], [near, top], [far, top], [far, down + 1.0]]));
+            path.extend(at(target, &[[far, LANE], [near, LANE], [near, top], [far, top], [far, down + 1.0]]));
             for deck in (0..target).rev() {
-                way.extend(at(deck + 1, &[[self.ramp_end, down]]));
-                way.extend(at(deck, &[[RAMP_START, down]]));
+                path.extend(at(deck + 1, &[[self.ramp_end, down]]));
+                path.extend(at(deck, &[[RAMP_START, down]]));
                 if deck > 0 {
-                    way.extend(at(deck, &[[near, down], [near, top], [far, top], [far, down + 1.0]]));
+                    path.extend(at(deck, &[[near, down], [near, top], [far, top], [far, down + 1.0]]));
                 }
             }
-            way.extend(at(0, &[[near, down], home]));
-            loops.push(way);
+            path.extend(at(0, &[[near, down], home]));
+            loops.push(path);
         }
         let ground = [home, [near, LANE], [far, LANE], [far, top], [near, top], [near, down], home];
         loops.insert(usize::from(!loops.is_empty()), at(0, &ground));
@@ -170,7 +170,7 @@ impl Garage {
         &self,
         draft: &mut SolidDraft,
         deck: usize,
-        free: &FreeWays,
+        free: &KeptFreePaths,
         random: &mut Random,
         clutter: f64,
     ) {

@@ -5,7 +5,7 @@ use portolan_geometry::Vector3;
 use super::SolidPlan;
 use super::SolidStyle;
 use super::draft::{Hole, SolidDraft};
-use super::furnishing::{FreeWays, Hall, furnish_outdoors};
+use super::furnishing::{Hall, KeptFreePaths, furnish_outdoors};
 use super::stairs::Stairwell;
 use super::terrain::Terrain;
 use crate::random::Random;
@@ -51,8 +51,8 @@ pub(crate) fn draw_museum(style: &SolidStyle, seed: u64) -> SolidPlan {
     let mut draft = SolidDraft::default();
     museum.draw_building(&mut draft, style, &mut random);
     plan.strolls = museum.strolls(&mut random);
-    let mut free = FreeWays::default();
-    plan.loops.iter().chain(&plan.strolls).for_each(|way| free.add(way));
+    let mut free = KeptFreePaths::default();
+    plan.loops.iter().chain(&plan.strolls).for_each(|path| free.add(path));
     for storey in 0..museum.storeys {
         for (column, row) in RING.into_iter().chain((storey == 0).then_some(ATRIUM)) {
             let hall = museum.hall((column, row), storey);
@@ -129,22 +129,22 @@ impl Museum {
         let (from, to) = (RING[i], RING[(i + 1) % 8]);
         let (at, level) = (self.doors[storey][i], storey as f64 * self.storey);
         if from.0 == to.0 {
-            let (line, way) = (self.ys[from.1.max(to.1)], if to.1 > from.1 { 0.7 } else { -0.7 });
-            [Vector3::new(at, line - way, level), Vector3::new(at, line + way, level)]
+            let (line, offset) = (self.ys[from.1.max(to.1)], if to.1 > from.1 { 0.7 } else { -0.7 });
+            [Vector3::new(at, line - offset, level), Vector3::new(at, line + offset, level)]
         } else {
-            let (line, way) = (self.xs[from.0.max(to.0)], if to.0 > from.0 { 0.7 } else { -0.7 });
-            [Vector3::new(line - way, at, level), Vector3::new(line + way, at, level)]
+            let (line, offset) = (self.xs[from.0.max(to.0)], if to.0 > from.0 { 0.7 } else { -0.7 });
+            [Vector3::new(line - offset, at, level), Vector3::new(line + offset, at, level)]
         }
     }
 
     /// Path along the ring on a storey from cell number `from` through `count` doors, both ends included.
     fn along_ring(&self, from: usize, count: usize, storey: usize) -> Vec<Vector3> {
-        let mut way = vec![self.centre(RING[from % 8], storey)];
+        let mut path = vec![self.centre(RING[from % 8], storey)];
         for i in from..from + count {
-            way.extend(self.through_door(i % 8, storey));
-            way.push(self.centre(RING[(i + 1) % 8], storey));
+            path.extend(self.through_door(i % 8, storey));
+            path.push(self.centre(RING[(i + 1) % 8], storey));
         }
-        way
+        path
     }
 
     /// Path through the door of a stairwell, outwards.
@@ -158,20 +158,20 @@ impl Museum {
     /// stairs.
     fn upper_loop(&self, storey: usize) -> Vec<Vector3> {
         // The halls before the stairs are crossed straight to their doors.
-        let mut way = self.along_ring(0, 2, 0);
-        way.pop();
-        way.extend(self.stair_door(&self.stairs[0], 0));
-        (0..storey).for_each(|from| way.extend(self.stairs[0].way_up(from)));
-        way.extend(self.stair_door(&self.stairs[0], storey).into_iter().rev());
-        way.extend(self.along_ring(2, 4, storey).into_iter().skip(1));
-        way.pop();
+        let mut path = self.along_ring(0, 2, 0);
+        path.pop();
+        path.extend(self.stair_door(&self.stairs[0], 0));
+        (0..storey).for_each(|from| path.extend(self.stairs[0].path_up(from)));
+        path.extend(self.stair_door(&self.stairs[0], storey).into_iter().rev());
+        path.extend(self.along_ring(2, 4, storey).into_iter().skip(1));
+        path.pop();
         let mut back = Vec::new();
         back.extend(self.stair_door(&self.stairs[1], 0));
-        (0..storey).for_each(|from| back.extend(self.stairs[1].way_up(from)));
+        (0..storey).for_each(|from| back.extend(self.stairs[1].path_up(from)));
         back.extend(self.stair_door(&self.stairs[1], storey).into_iter().rev());
-        way.extend(back.into_iter().rev());
-        way.extend(self.along_ring(6, 2, 0).into_iter().skip(1));
-        way
+        path.extend(back.into_iter().rev());
+        path.extend(self.along_ring(6, 2, 0).into_iter().skip(1));
+        path
     }
 
     fn entrance_x(&self) -> f64 {
@@ -189,8 +189,8 @@ impl Museum {
     /// Path out of the entrance, down the ramp, through the garden and up the steps of the terrace.
     fn garden_loop(&self, random: &mut Random) -> Vec<Vector3> {
         let (x, terrace, end) = (self.entrance_x(), self.terrace_x(), self.ramp_end());
-        let mut way = vec![self.centre(ENTRANCE, 0)];
-        way.extend(
+        let mut path = vec![self.centre(ENTRANCE, 0)];
+        path.extend(
             [[0.8, 0.0], [-0.8, 0.0], [-PLATFORM, 0.0], [end, GARDEN]].map(|[y, z]| Vector3::new(x, y, z)),
         );
         let outer = random.between(5.0, 8.0);
@@ -202,30 +202,30 @@ impl Museum {
             for i in 0..6 {
                 let share = f64::from(i) / 6.0;
                 let [px, py] = [0, 1].map(|k| pair[0][k] + (pair[1][k] - pair[0][k]) * share);
-                way.push(self.terrain.point(px, py));
+                path.push(self.terrain.point(px, py));
             }
         }
-        way.extend(
+        path.extend(
             [[-3.2, GARDEN], [-1.9, GARDEN], [-0.7, 0.0], [0.8, 0.0]]
                 .map(|[y, z]| Vector3::new(terrace, y, z)),
         );
-        way.push(self.centre((2, 0), 0));
-        way.extend(self.through_door(0, 0).into_iter().rev());
-        way.push(self.centre(ENTRANCE, 0));
-        way
+        path.push(self.centre((2, 0), 0));
+        path.extend(self.through_door(0, 0).into_iter().rev());
+        path.push(self.centre(ENTRANCE, 0));
+        path
     }
 
     /// Path through the atrium to the north and back through the east halls.
     fn atrium_loop(&self) -> Vec<Vector3> {
         let x = self.entrance_x();
-        let mut way = vec![self.centre(ENTRANCE, 0)];
-        way.extend([-0.7, 0.7].map(|d| Vector3::new(x, self.ys[1] + d, 0.0)));
-        way.push(self.centre(ATRIUM, 0));
-        way.extend([-0.7, 0.7].map(|d| Vector3::new(x, self.ys[2] + d, 0.0)));
+        let mut path = vec![self.centre(ENTRANCE, 0)];
+        path.extend([-0.7, 0.7].map(|d| Vector3::new(x, self.ys[1] + d, 0.0)));
+        path.push(self.centre(ATRIUM, 0));
+        path.extend([-0.7, 0.7].map(|d| Vector3::new(x, self.ys[2] + d, 0.0)));
         let mut east = self.along_ring(0, 4, 0);
         east.reverse();
-        way.extend(east);
-        way
+        path.extend(east);
+        path
     }
 
     /// All loops from the entrance hall, in the order of the tour.
@@ -238,9 +238,9 @@ impl Museum {
         loops.push(self.along_ring(0, 8, 0));
         loops.extend((2..self.storeys).map(|storey| self.upper_loop(storey)));
         loops.push(self.atrium_loop());
-        for way in &mut loops {
+        for path in &mut loops {
             if random.chance(0.3) {
-                way.reverse();
+                path.reverse();
             }
         }
         loops
@@ -393,7 +393,7 @@ impl Museum {
         draft.block([middle - 1.2, y - 0.02, 0.4], [middle + 1.2, y, 2.4], Material::Mirror);
     }
 
-    fn draw_garden(&self, draft: &mut SolidDraft, free: &FreeWays, random: &mut Random) {
+    fn draw_garden(&self, draft: &mut SolidDraft, free: &KeptFreePaths, random: &mut Random) {
         let (x, end) = (self.entrance_x(), self.ramp_end());
         let half = 0.5 * RAMP_WIDTH;
         draft.block([x - half, -PLATFORM, GARDEN - 0.3], [x + half, -0.15, 0.0], Material::Floor);

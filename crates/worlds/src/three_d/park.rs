@@ -5,7 +5,7 @@ use portolan_geometry::Vector3;
 use super::SolidPlan;
 use super::SolidStyle;
 use super::draft::SolidDraft;
-use super::furnishing::{FreeWays, furnish_outdoors};
+use super::furnishing::{KeptFreePaths, furnish_outdoors};
 use super::terrain::Terrain;
 use crate::random::Random;
 use crate::two_d::Material;
@@ -24,9 +24,9 @@ pub(crate) fn draw_park(style: &SolidStyle, seed: u64) -> SolidPlan {
     for quarter in [0, 2, 1, 3] {
         plan.loops.push(petal(&terrain, middle, quarter, [0.46 * width, 0.46 * depth], &mut random));
     }
-    plan.strolls = plan.loops.iter().map(|way| shifted(&terrain, way)).collect();
-    let mut free = FreeWays::default();
-    plan.loops.iter().for_each(|way| free.add(way));
+    plan.strolls = plan.loops.iter().map(|path| shifted(&terrain, path)).collect();
+    let mut free = KeptFreePaths::default();
+    plan.loops.iter().for_each(|path| free.add(path));
     let mut draft = SolidDraft::default();
     let site = [-25.0, -25.0, width + 25.0, depth + 25.0];
     terrain.draw(&mut draft, site, 1.5, [0.0; 4]);
@@ -79,6 +79,6 @@ fn petal(
 }
 
 /// A path beside another one.
-fn shifted(terrain: &Terrain, way: &[Vector3]) -> Vec<Vector3> {
-    way.iter().map(|p| terrain.point(p.x + 1.7, p.y + 1.3)).collect()
+fn shifted(terrain: &Terrain, path: &[Vector3]) -> Vec<Vector3> {
+    path.iter().map(|p| terrain.point(p.x + 1.7, p.y + 1.3)).collect()
 }

@@ -36,9 +36,9 @@ pub struct Pedestrian {
 impl Pedestrian {
     /// A person who walks through the corners and back to the first at `speed` m/s, starting `offset`
     /// metres along the path; none if the path has no length.
-    pub fn new(way: &[Vector3], speed: f64, offset: f64) -> Option<Self> {
-        let mut corners = way.to_vec();
-        corners.push(*way.first()?);
+    pub fn new(path: &[Vector3], speed: f64, offset: f64) -> Option<Self> {
+        let mut corners = path.to_vec();
+        corners.push(*path.first()?);
         let mut lengths = vec![0.0];
         let mut length = 0.0;
         for pair in corners.windows(2) {
@@ -55,8 +55,8 @@ impl Pedestrian {
         let after = self.lengths.partition_point(|l| *l <= along).clamp(1, self.corners.len() - 1);
         let (from, to) = (self.corners[after - 1], self.corners[after]);
         let length = self.lengths[after] - self.lengths[after - 1];
-        let way = if length > 0.0 { (to - from) / length } else { Vector3::x() };
-        (from + way * (along - self.lengths[after - 1]), way, along)
+        let direction = if length > 0.0 { (to - from) / length } else { Vector3::x() };
+        (from + direction * (along - self.lengths[after - 1]), direction, along)
     }
 
     /// Position on the ground at a time, metres.
@@ -71,9 +71,9 @@ impl Pedestrian {
 
     /// Positions on the ground of the left foot, the right foot and the middle.
     fn parts(&self, time: f64) -> [Vector3; 3] {
-        let (place, way, along) = self.place(time);
-        let left = Vector3::new(-way.y, way.x, 0.0) * LEG_SIDE;
-        let swing = way * (LEG_SWING * libm::sin(std::f64::consts::TAU * along / STRIDE));
+        let (place, direction, along) = self.place(time);
+        let left = Vector3::new(-direction.y, direction.x, 0.0) * LEG_SIDE;
+        let swing = direction * (LEG_SWING * libm::sin(std::f64::consts::TAU * along / STRIDE));
         [place + left + swing, place - left - swing, place]
     }
 }
@@ -135,22 +135,22 @@ mod tests {
 
     #[test]
     fn people_go_round_and_are_met_where_they_are() {
-        let way = [Vector3::zeros(), Vector3::new(4.0, 0.0, 0.0), Vector3::new(4.0, 3.0, 0.0)];
-        let person = Pedestrian::new(&way, 1.0, 0.0).unwrap();
-        assert!((person.position(4.0) - way[1]).norm() < 1e-12);
+        let path = [Vector3::zeros(), Vector3::new(4.0, 0.0, 0.0), Vector3::new(4.0, 3.0, 0.0)];
+        let person = Pedestrian::new(&path, 1.0, 0.0).unwrap();
+        assert!((person.position(4.0) - path[1]).norm() < 1e-12);
         assert!((person.position(12.0 + 1.0) - Vector3::x()).norm() < 1e-9);
         let walker = person.walker(2.0, 0.1);
         let ray = Ray3 { origin: Vector3::new(2.0, -5.0, 1.2), direction: Vector3::y() };
         assert!((walker.meet(&ray, 20.0, 0.0).unwrap().range - (5.0 - TRUNK_RADIUS)).abs() < 1e-12);
         let later = walker.meet(&ray, 20.0, 1.0).unwrap().range;
         assert!((later - (5.0 - (TRUNK_RADIUS * TRUNK_RADIUS - 0.01_f64).sqrt())).abs() < 1e-9);
-        assert!(Pedestrian::new(&way[..1], 1.0, 0.0).is_none() && Pedestrian::new(&[], 1.0, 0.0).is_none());
+        assert!(Pedestrian::new(&path[..1], 1.0, 0.0).is_none() && Pedestrian::new(&[], 1.0, 0.0).is_none());
     }
 
     #[test]
-    fn the_quick_look_misses_nobody() {
-        let way = [Vector3::zeros(), Vector3::new(4.0, 1.0, 0.0)];
-        let person = Pedestrian::new(&way, 1.2, 0.3).unwrap();
+    fn the_coarse_test_misses_no_person() {
+        let path = [Vector3::zeros(), Vector3::new(4.0, 1.0, 0.0)];
+        let person = Pedestrian::new(&path, 1.2, 0.3).unwrap();
         let mut random = Random::new(9, "people", 0);
         let mut met = 0;
         for i in 0..20_000 {

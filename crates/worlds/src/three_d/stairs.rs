@@ -113,7 +113,7 @@ impl Stairwell {
     }
 
     /// The path from the door on storey `from` to the door on storey `from` + 1.
-    pub fn way_up(&self, from: usize) -> Vec<Vector3> {
+    pub fn path_up(&self, from: usize) -> Vec<Vector3> {
         let (low, high) = (from as f64 * self.storey, (from + 1) as f64 * self.storey);
         let (first, second) = (0.5 * FLIGHT, WIDTH - 0.5 * FLIGHT);
         let (start, end) = (LANDING, LANDING + Self::flight_length(self.storey));

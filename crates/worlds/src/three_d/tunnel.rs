@@ -45,7 +45,7 @@ impl Line {
     }
 
     /// Path from the middle on the right side to near an end, around, and back on the other side.
-    fn way_to(&self, end: f64, width: f64) -> Vec<Vector3> {
+    fn path_to(&self, end: f64, width: f64) -> Vec<Vector3> {
         let middle = 0.5 * self.length;
         let (far, forward) = ((end - middle).abs(), (end - middle).signum());
         let lane = LANE * width;
@@ -58,8 +58,8 @@ impl Line {
             let (sine, cosine) = libm::sincos(std::f64::consts::PI * f64::from(i) / 8.0);
             at(far - lane + lane * sine, -lane * cosine)
         });
-        let way = out.iter().map(|d| at(*d, -lane)).chain(round);
-        way.chain(out.iter().rev().map(|d| at(*d, lane))).collect()
+        let path = out.iter().map(|d| at(*d, -lane)).chain(round);
+        path.chain(out.iter().rev().map(|d| at(*d, lane))).collect()
     }
 
     fn yaw(&self, along: f64) -> f64 {
@@ -86,12 +86,12 @@ pub(crate) fn draw_tunnel(style: &SolidStyle, seed: u64) -> SolidPlan {
         let inward = Vector3::new(sine * left, -cosine * left, 0.0);
         (line.point(along, left * (0.5 * width - 0.01), 1.0), inward)
     });
-    let aside = |way: &[Vector3]| -> Vec<Vector3> {
-        way.iter().map(|p| p + Vector3::new(0.0, 0.3 * width, 0.0)).collect()
+    let aside = |path: &[Vector3]| -> Vec<Vector3> {
+        path.iter().map(|p| p + Vector3::new(0.0, 0.3 * width, 0.0)).collect()
     };
-    let loops = vec![line.way_to(length - TURNING_PLACE, width), line.way_to(TURNING_PLACE, width)];
+    let loops = vec![line.path_to(length - TURNING_PLACE, width), line.path_to(TURNING_PLACE, width)];
     SolidPlan {
-        strolls: loops.iter().map(|way| aside(way)).collect(),
+        strolls: loops.iter().map(|path| aside(path)).collect(),
         marks: marks.collect(),
         loops,
         solids: draft.solids,

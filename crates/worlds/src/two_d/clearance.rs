@@ -88,17 +88,17 @@ impl ClearanceGrid {
     }
 
     /// Costs of the shortest paths from `start` to every cell.
-    pub fn distances_from(&self, start: &Vector2) -> WayCosts {
-        let mut search = WaySearch::new(self);
+    pub fn distances_from(&self, start: &Vector2) -> PathCosts {
+        let mut search = PathSearch::new(self);
         if let Some(start) = self.cell_of(start) {
             search.run(start, None);
         }
-        WayCosts { costs: search.costs }
+        PathCosts { costs: search.costs }
     }
 
     /// The reachable cell within `radius` metres of `point` with the most room around it. Its distance from
     /// `point` is a penalty of up to 0.25 m of room.
-    pub fn roomiest(&self, point: &Vector2, radius: f64, reachable: &WayCosts) -> Option<Vector2> {
+    pub fn roomiest(&self, point: &Vector2, radius: f64, reachable: &PathCosts) -> Option<Vector2> {
         let reach = Vector2::new(radius, radius);
         let (first_column, first_row) = self.clamped_cell(&(point - reach));
         let (last_column, last_row) = self.clamped_cell(&(point + reach));
@@ -193,7 +193,7 @@ impl ClearanceGrid {
 
 /// Finds paths on a clearance grid, one after the other, in the same memory.
 #[derive(Clone, Debug)]
-pub struct WaySearch<'a> {
+pub struct PathSearch<'a> {
     grid: &'a ClearanceGrid,
     costs: Vec<u32>,
     previous: Vec<u32>,
@@ -201,7 +201,7 @@ pub struct WaySearch<'a> {
     touched: Vec<u32>,
 }
 
-impl<'a> WaySearch<'a> {
+impl<'a> PathSearch<'a> {
     /// Searches on this grid.
     pub fn new(grid: &'a ClearanceGrid) -> Self {
         let cells = grid.distances.len();
@@ -210,7 +210,7 @@ impl<'a> WaySearch<'a> {
 
     /// A path from `start` to `goal` that keeps clear of surfaces and has few corners, both ends included;
     /// none if there is no path.
-    pub fn way(&mut self, start: &Vector2, goal: &Vector2) -> Option<Vec<Vector2>> {
+    pub fn path(&mut self, start: &Vector2, goal: &Vector2) -> Option<Vec<Vector2>> {
         let (from, to) = (self.grid.cell_of(start)?, self.grid.cell_of(goal)?);
         self.run(from, Some(to));
         if self.costs[to] == UNREACHED {
@@ -271,11 +271,11 @@ impl<'a> WaySearch<'a> {
 
 /// Costs of the shortest paths from one start to every cell.
 #[derive(Clone, Debug)]
-pub struct WayCosts {
+pub struct PathCosts {
     costs: Vec<u32>,
 }
 
-impl WayCosts {
+impl PathCosts {
     /// Length of the path to the cell around `point`, metres, in which narrow places count more; none if
     /// the cell cannot be reached.
     pub fn metres_to(&self, grid: &ClearanceGrid, point: &Vector2) -> Option<f64> {
@@ -299,27 +299,27 @@ mod tests {
     }
 
     #[test]
-    fn ways_lead_through_doors_and_keep_clear() {
+    fn paths_lead_through_doors_and_keep_clear() {
         let grid = two_rooms();
         let (start, goal) = (Vector2::new(1.05, 1.05), Vector2::new(8.95, 1.05));
-        let way = WaySearch::new(&grid).way(&start, &goal).unwrap();
-        assert!(way.len() >= 3 && way.len() < 10, "{way:?}");
-        assert_eq!((way[0], way[way.len() - 1]), (start, goal));
-        for pair in way.windows(2) {
+        let path = PathSearch::new(&grid).path(&start, &goal).unwrap();
+        assert!(path.len() >= 3 && path.len() < 10, "{path:?}");
+        assert_eq!((path[0], path[path.len() - 1]), (start, goal));
+        for pair in path.windows(2) {
             assert!(grid.tightest_between(&pair[0], &pair[1]) >= 0.3);
         }
         let metres = grid.distances_from(&start).metres_to(&grid, &goal).unwrap();
-        let length: f64 = way.windows(2).map(|p| (p[1] - p[0]).norm()).sum();
+        let length: f64 = path.windows(2).map(|p| (p[1] - p[0]).norm()).sum();
         assert!(length <= metres && metres < 2.0 * length);
     }
 
     #[test]
-    fn what_is_walled_in_cannot_be_reached() {
+    fn walled_in_places_cannot_be_reached() {
         let mut draft = Draft::new();
         draft.wall(Vector2::new(5.0, 0.0), Vector2::new(5.0, 6.0), 0.2, &[]);
         let grid = ClearanceGrid::new(&draft.into_shapes(), Vector2::new(10.0, 6.0), 0.1, 0.3);
         let start = Vector2::new(1.0, 1.0);
-        assert!(WaySearch::new(&grid).way(&start, &Vector2::new(9.0, 1.0)).is_none());
+        assert!(PathSearch::new(&grid).path(&start, &Vector2::new(9.0, 1.0)).is_none());
         let costs = grid.distances_from(&start);
         assert!(costs.metres_to(&grid, &Vector2::new(9.0, 1.0)).is_none());
         assert!(grid.roomiest(&Vector2::new(9.0, 1.0), 1.0, &costs).is_none());

@@ -277,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn the_grid_finds_what_brute_force_finds() {
+    fn the_grid_agrees_with_brute_force() {
         for seed in 0..20 {
             let shapes = clutter(seed, 60);
             let grid = ShapeGrid::new(shapes.clone(), 0.5);

@@ -13,7 +13,7 @@ mod rooms;
 mod shape;
 mod warehouse;
 
-pub use clearance::{ClearanceGrid, WayCosts, WaySearch};
+pub use clearance::{ClearanceGrid, PathCosts, PathSearch};
 pub use draft::{Draft, Opening};
 pub use grid::{Crossings, ShapeGrid};
 pub use person::{NearbyPeople, Person};

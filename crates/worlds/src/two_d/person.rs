@@ -132,7 +132,7 @@ impl<'a> NearbyPeople<'a> {
 mod tests {
     use super::*;
 
-    fn somebody() -> Person {
+    fn walking_person() -> Person {
         let corners = vec![Vector2::new(0.0, 0.0), Vector2::new(10.0, 0.0), Vector2::new(10.0, 5.0)];
         Person::new(corners, 1.0, 2.0).unwrap()
     }
@@ -140,7 +140,7 @@ mod tests {
     #[test]
     fn walks_to_the_end_and_back() {
         let far = Vector2::new(-100.0, 0.0);
-        let person = somebody();
+        let person = walking_person();
         assert!((person.position(0.0, &far) - Vector2::new(2.0, 0.0)).norm() < 1e-12);
         assert!((person.position(10.0, &far) - Vector2::new(10.0, 2.0)).norm() < 1e-12);
         assert!((person.position(14.0, &far) - Vector2::new(10.0, 4.0)).norm() < 1e-12);
@@ -149,7 +149,7 @@ mod tests {
 
     #[test]
     fn never_walks_through_the_robot() {
-        let person = somebody();
+        let person = walking_person();
         let robot = Vector2::new(5.0, 0.01);
         for i in 0..4000 {
             let time = f64::from(i) * 0.01;

@@ -50,7 +50,7 @@ pub fn check(path: &Path, input: Forward) -> Result<Vec<Finding>, CliError> {
 fn consequences(kind: FindingKind) -> (&'static str, &'static str) {
     const AGAIN: &str = "take an undamaged copy of the file if there is one, else `portolan repair`";
     match kind {
-        FindingKind::Damage => ("what cannot be read is lost; other programs stop here", AGAIN),
+        FindingKind::Damage => ("data that cannot be read are lost; other programs stop here", AGAIN),
         FindingKind::Header => ("no program knows how to read the file", AGAIN),
         FindingKind::Order => ("Cartographer refuses the map or ignores the message", "`portolan repair`"),
         FindingKind::UnknownMessage => (
@@ -76,20 +76,21 @@ fn consequences(kind: FindingKind) -> (&'static str, &'static str) {
         FindingKind::PointCloud => {
             ("the node cannot be matched again, and is missing in point clouds", AGAIN)
         }
-        FindingKind::Histogram => {
-            ("loops through this node or submap are not found in 3D", "`portolan migrate` makes histograms")
-        }
+        FindingKind::Histogram => (
+            "loop closures with this node or submap are not found in 3D",
+            "`portolan migrate` makes histograms",
+        ),
         FindingKind::Imu => (
-            "none here: such a trajectory is held by its scans",
-            "`portolan repair`, if Cartographer is to move the trajectory",
+            "none in Portolan: the scans of such a trajectory constrain it",
+            "`portolan repair`, if Cartographer is to optimise the trajectory",
         ),
         FindingKind::Unconstrained => (
-            "whatever optimises the map tears the trajectory off, or leaves it where it is",
-            "use it frozen; or map its recording again",
+            "optimisation separates the trajectory from the rest of the map, or leaves it where it is",
+            "use the trajectory frozen, or map its recording again",
         ),
         FindingKind::FarAway => (
-            "places so far away have no millimetres; optimisation fails, or bends the rest",
-            "map the recording again, or take the part out with `portolan edit`",
+            "coordinates so large do not resolve millimetres; optimisation fails, or bends the rest of the map",
+            "map the recording again, or remove the part with `portolan edit`",
         ),
         FindingKind::Time => (
             "interpolation between these times is wrong",

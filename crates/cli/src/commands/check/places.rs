@@ -60,7 +60,7 @@ fn not_examined(error: &JobError) -> Finding {
         about: "places".to_owned(),
         what: format!("not examined: {error}"),
         count: 1,
-        effect: "nothing is known of where `portolan localize` would have difficulties".to_owned(),
+        effect: "it is not known where `portolan localize` would have difficulties".to_owned(),
         advice: "check it without --places; `portolan localize` shows where it finds a recording".to_owned(),
         repair: None,
     }
@@ -76,7 +76,7 @@ fn difficulties(examined: &ExaminedMap) -> Vec<Finding> {
     found
         .map(|(kind, count)| {
             let (what, effect, advice) = words(kind);
-            let percent = 100.0 * count.fraction_of_way;
+            let percent = 100.0 * count.fraction_of_path;
             let places = counted(all, "place", "places");
             Finding {
                 severity: Severity::Info,
@@ -96,18 +96,18 @@ fn words(kind: Distinctness) -> (&'static str, &'static str, &'static str) {
     match kind {
         Distinctness::Distinct => ("", "", ""),
         Distinctness::Degenerate => (
-            "the scan leaves a direction open, as in a corridor",
-            "`portolan localize` knows such a place less well along that direction, by odometry alone",
-            "nothing, as long as odometry is good there; a lidar that reaches farther sees the ends",
+            "the scan leaves one direction of motion unconstrained, as in a corridor",
+            "along that direction `portolan localize` is less accurate, because it relies on odometry alone",
+            "nothing, if odometry is good there; a lidar with a longer range sees the ends",
         ),
         Distinctness::Ambiguous => (
-            "what was seen on the last metres fits nearly as well, or better, elsewhere in the map",
-            "`portolan localize` stays `tentative` there longer, and may take one place for the other",
-            "begin elsewhere, or say --start; --picture shows where",
+            "the scans of the last metres fit nearly as well, or better, elsewhere in the map",
+            "`portolan localize` stays `tentative` there longer, and may localise at the wrong one of the two places",
+            "start elsewhere, or give --start; --picture shows these places",
         ),
         Distinctness::Thin => (
-            "the map does not explain what was seen there when it was made",
-            "`portolan localize` becomes `uncertain` there, or does not find itself",
+            "the map does not explain even the scans that it was made from there",
+            "`portolan localize` becomes `uncertain` there, or does not localise",
             "look there for walls drawn twice (`portolan render`), people and glass; map it again",
         ),
     }

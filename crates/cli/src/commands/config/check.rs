@@ -10,8 +10,8 @@ use crate::error::{CliError, Outcome};
 use crate::output::{counted, print};
 use crate::progress::say;
 
-/// Find everything that is wrong with a configuration file: unknown keys with the nearest known one, wrong
-/// types, values out of bounds, options that do not fit each other.
+/// Report all faults of a configuration file: unknown keys with the nearest known one, wrong types, values
+/// out of bounds, options that contradict each other.
 ///
 /// Exit code 1 if there are errors; warnings alone give 0.
 #[derive(clap::Args)]
@@ -20,7 +20,7 @@ pub struct CheckArgs {
     /// Configuration of a robot or of a map builder server.
     #[arg(value_name = "FILE.lua")]
     file: PathBuf,
-    /// Folder to look for included Lua files in; may be given several times.
+    /// Folder to search for included Lua files; may be given several times.
     #[arg(long, value_name = "DIR")]
     config_dir: Vec<PathBuf>,
 }

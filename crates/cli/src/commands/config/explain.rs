@@ -11,8 +11,8 @@ const WIDTH: usize = 96;
 
 /// Explain an option: type, unit, bounds, default, what it does and when to raise it.
 ///
-/// KEY may be shortened from the left and may be that of a table; all options that it fits are shown. Any other word is
-/// searched in names and explanations.
+/// KEY may be shortened from the left and may name a table; all matching options are shown. If none matches,
+/// KEY is searched in names and explanations.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  portolan config explain constraint_builder.min_score\n  \
     portolan config explain TRAJECTORY_BUILDER.trajectory_builder_2d.submaps")]

@@ -8,10 +8,10 @@ use crate::error::{CliError, Outcome};
 use crate::output::print;
 use crate::progress::say;
 
-/// Print all options with the values that a file and settings give them.
+/// Print all options with their values after loading a file and applying settings.
 ///
-/// Without a file the defaults are shown. They are those of Cartographer: what `portolan map` chooses from a
-/// recording is in the report of the map.
+/// Without a file, the defaults are shown. They are those of Cartographer; the settings that `portolan map`
+/// chooses for a recording are in the report of the map.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  \
     portolan config show\n  \
@@ -20,13 +20,13 @@ use crate::progress::say;
 pub struct ShowArgs {
     #[command(flatten)]
     settings: SettingArgs,
-    /// Defaults for mapping in 3D instead of in 2D; with --config the file decides.
+    /// Show the defaults for 3D instead of 2D; with --config the file decides.
     #[arg(long = "3d", conflicts_with = "config")]
     three_dimensions: bool,
-    /// Only options that differ from their defaults.
+    /// Show only options that differ from their defaults.
     #[arg(long)]
     changed: bool,
-    /// Print a complete Lua file that needs no other and loads to the same options.
+    /// Print a complete Lua file without includes that loads to the same options.
     #[arg(long, conflicts_with_all = ["changed", "json"])]
     lua: bool,
     /// Print JSON.

@@ -12,9 +12,9 @@ use crate::input::{GRAPH_TAGS, is_map, peek};
 pub enum Format {
     /// `time x y z qx qy qz qw`.
     Tum,
-    /// Twelve numbers a line; times in a file of their own.
+    /// Twelve numbers per line; times in a separate file.
     Kitti,
-    /// A table with a line of names.
+    /// A table with a header line.
     Csv,
     /// Lines with times.
     Geojson,
@@ -37,7 +37,7 @@ impl Format {
             Some("g2o") => Ok(Self::G2o),
             Some("pbstream") => Ok(Self::Map),
             _ => Err(CliError::Usage(format!(
-                "{}: the ending says nothing; say --to tum, kitti, csv, geojson, g2o or pbstream",
+                "{}: the name does not determine the format; give --to tum, kitti, csv, geojson, g2o or pbstream",
                 path.display()
             ))),
         }

@@ -24,7 +24,7 @@ pub fn of_map(args: &ConvertArgs) -> Result<Outcome, CliError> {
     }
     let lost = counted(lost as u64, "constraint", "constraints");
     say(&format!(
-        "{}: {lost} to parts that are not there, or with impossible values, left out",
+        "{}: {lost} to missing parts, or with impossible values, were left out",
         args.input.display()
     ));
     Ok(Outcome::DataLost)
@@ -36,7 +36,7 @@ pub fn of_trajectory(args: &ConvertArgs, input: Forward, global: &GlobalArgs) ->
     let poses: Vec<Rigid3> = trajectory.poses().iter().map(|p| p.map_from_tracking).collect();
     let unit: Vec<f64> = (0..6).flat_map(|r| (r..6).map(move |c| if r == c { 1.0 } else { 0.0 })).collect();
     let information = Rigid3::information_from_upper(&unit)
-        .ok_or_else(|| CliError::Failed("the unit matrix is no information matrix".to_owned()))?;
+        .ok_or_else(|| CliError::Failed("the unit matrix is not an information matrix".to_owned()))?;
     let vertices = poses
         .iter()
         .enumerate()
@@ -90,7 +90,7 @@ pub fn into_map(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Resu
         )?;
     } else {
         print_summary(&format!(
-            "{} taken over\n{output}",
+            "{} replaced\n{output}",
             counted(graph.vertex_count() as u64, "pose", "poses")
         ));
     }

@@ -14,7 +14,7 @@ use portolan_pbstream::ReadLimits;
 use super::ConvertArgs;
 use super::format::Format;
 use crate::GlobalArgs;
-use crate::commands::evaluate::input::{read_trajectory_from, tell};
+use crate::commands::evaluate::input::{read_trajectory_from, report_notes};
 use crate::error::{CliError, Outcome};
 use crate::output::{counted, outcome_of_map, print_json, print_summary, write_file};
 use crate::progress::say;
@@ -88,7 +88,7 @@ pub fn into_map(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Resu
         print_json(&serde_json::json!({ "output": output, "replaced": done }))?;
     } else {
         print_summary(&format!(
-            "{} placed, {} moved along, {} placed by their nodes\n{output}",
+            "{} at poses of the trajectory, {} moved along with them, {} placed by their nodes\n{output}",
             counted(done.nodes, "node", "nodes"),
             done.nodes_moved_along,
             counted(done.submaps, "submap", "submaps"),
@@ -139,7 +139,7 @@ fn read(args: &ConvertArgs, mut input: Forward, global: &GlobalArgs) -> Result<R
             let (all, repairs) =
                 read_geojson(input, frame.as_ref()).map_err(|error| CliError::in_file(path, error))?;
             if !global.quiet {
-                tell(path, &repairs.notes());
+                report_notes(path, &repairs.notes());
             }
             all
         }

@@ -34,8 +34,8 @@ pub fn run(args: &EditArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let mut merged = Vec::new();
     if args.parts.place.is_empty() {
         for path in &args.parts.merge {
-            match draft.append_where_it_fits(path, &options(&draft, &args.loops.set)?) {
-                Ok(joined) => merged.push(told(path, joined, global)),
+            match draft.append_aligned(path, &options(&draft, &args.loops.set)?) {
+                Ok(joined) => merged.push(reported(path, joined, global)),
                 Err(error @ EditError::NotPlaced { .. }) => {
                     say(&format!(
                         "{error}. Nothing was written; if you know the place, say [--place X,Y,YAW]"
@@ -155,7 +155,7 @@ fn new_numbers(ids: &BTreeMap<i32, i32>) -> String {
 }
 
 /// Reports the pose at which a merged map was found.
-fn told(path: &Path, joined: JoinedMap, global: &GlobalArgs) -> JoinedMap {
+fn reported(path: &Path, joined: JoinedMap, global: &GlobalArgs) -> JoinedMap {
     if !global.quiet {
         let place = &joined.map_from_other;
         let (x, y) = (place.translation.x, place.translation.y);
@@ -263,7 +263,7 @@ impl Report {
             (edit.submaps_removed, "submap removed", "submaps removed"),
             (edit.nodes_removed, "node removed", "nodes removed"),
             (edit.constraints_removed, "constraint removed", "constraints removed"),
-            (edit.constraints_added, "loop closure put in", "loop closures put in"),
+            (edit.constraints_added, "loop closure added", "loop closures added"),
             (edit.cells_cleared, "cell made unknown", "cells made unknown"),
             (edit.sensor_messages_removed, "measurement removed", "measurements removed"),
         ];

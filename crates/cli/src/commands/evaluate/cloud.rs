@@ -24,15 +24,16 @@ const PLACE: f64 = 2.0;
 /// Ratio of densities above which two clouds are reported as not comparable; dimensionless.
 const LIKE_DENSITY: f64 = 1.1;
 
-/// Judge a cloud: how sharp it is, and with the truth how far its points are from the true surfaces.
+/// Evaluate a cloud: how sharp it is, and with the truth how far its points are from the true surfaces.
 ///
-/// A cloud is a file of points (PLY, PCD, text, LAS, LAZ, E57, a folder of uos scans), or what a trajectory makes of
-/// the raw points of a recording, each placed at its own time. Of several clouds each is compared with the first,
-/// place by place.
+/// A cloud is a file of points (PLY, PCD, text, LAS, LAZ, E57, a folder of uos scans), or the raw points of a
+/// recording, each placed by a trajectory at its own time. Of several clouds, each is compared with the
+/// first, place by place.
 ///
-/// Without truth are reported: mean map entropy and mean plane variance (Razlaw et al. 2015), the mutual orthogonality
-/// metric (Kornilova and Ferrer 2021), the thickness of walls, and for points with times the distance between passes.
-/// Lower is sharper. These figures can only be compared between clouds of one density, measured with the same radius.
+/// Without truth, the report has: mean map entropy and mean plane variance (Razlaw et al. 2015), the mutual
+/// orthogonality metric (Kornilova and Ferrer 2021), the thickness of walls, and for points with times the
+/// distance between passes. Lower is sharper. These figures are comparable only between clouds of one
+/// density, measured with the same radius.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  \
     portolan evaluate cloud walk_refined/refined.ply\n  \
@@ -41,7 +42,7 @@ const LIKE_DENSITY: f64 = 1.1;
     portolan evaluate cloud walk.bag walk.tum walk_refined/refined.tum\n  \
     portolan evaluate cloud walk.bag refined.tum --surfaces walk.surfaces.csv --truth walk.truth.tum")]
 pub struct CloudArgs {
-    /// Clouds; or a recording and the trajectories (TUM, a map, or a table) to judge it with.
+    /// Clouds; or a recording and the trajectories (TUM, a map, or a table) that place its points.
     #[arg(required = true, value_name = "CLOUD | RECORDING TRAJECTORY")]
     inputs: Vec<PathBuf>,
     #[command(flatten)]
@@ -51,10 +52,10 @@ pub struct CloudArgs {
     /// Radius of the neighbourhoods, metres.
     #[arg(long, value_name = "METRES", default_value_t = SharpnessOptions::default().radius)]
     radius: f64,
-    /// Number of points that are examined, spread evenly. More make neighbourhoods denser.
+    /// Number of points that are examined, evenly spread. A larger number makes neighbourhoods denser.
     #[arg(long, value_name = "N", default_value_t = SharpnessOptions::default().max_points)]
     sample: usize,
-    /// Seconds that lie at least between two passes of the same place.
+    /// Minimum time between two passes of the same place.
     #[arg(long, value_name = "SECONDS", default_value_t = PassOptions::default().gap)]
     pass_gap: f64,
     /// Print JSON.

@@ -17,10 +17,10 @@ use crate::input::open_forward;
 use crate::output::{print_json, print_summary, write_file};
 use crate::progress::say;
 
-/// Make relations of the loop closures of a map, to compare other maps of the same recording with.
+/// Make relations from the loop closures of a map, to evaluate other maps of the same recording.
 ///
-/// Does what cartographer_autogenerate_ground_truth does: loop closures that span enough of the trajectory and
-/// agree with the optimised map are taken for true. They are as good as the map, no better.
+/// Works like cartographer_autogenerate_ground_truth: loop closures that span enough of the trajectory and
+/// agree with the optimised map are taken as true. The relations are only as accurate as the map.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  \
     portolan evaluate generate good.pbstream -o good.relations --min-covered-distance 20\n  \
@@ -31,13 +31,13 @@ pub struct GenerateArgs {
     /// File to write the relations to.
     #[arg(short, long, value_name = "RELATIONS")]
     output: PathBuf,
-    /// Metres of path between both ends of a relation.
+    /// Minimum length of the path between both ends of a relation.
     #[arg(long, value_name = "METRES", default_value_t = 100.0, value_parser = not_negative)]
     min_covered_distance: f64,
-    /// Loop closures further off the optimised map are left out.
+    /// Leave out loop closures whose translation differs from the optimised map by more than this.
     #[arg(long, value_name = "METRES", default_value_t = 0.15, value_parser = not_negative)]
     outlier_threshold_meters: f64,
-    /// Loop closures rotated further off the optimised map are left out.
+    /// Leave out loop closures whose rotation differs from the optimised map by more than this.
     #[arg(long, value_name = "RADIANS", default_value_t = 0.02, value_parser = not_negative)]
     outlier_threshold_radians: f64,
     /// Write text, `time1 time2 x y z roll pitch yaw`, instead of Cartographer's binary form.

@@ -24,13 +24,13 @@ pub fn read_trajectory_from(
 ) -> Result<Trajectory, CliError> {
     let ReadTrajectory { trajectory, notes } = file.read_from(input)?;
     if !quiet {
-        tell(file.path, &notes);
+        report_notes(file.path, &notes);
     }
     Ok(trajectory)
 }
 
 /// Reports repairs of a file on stderr.
-pub fn tell(path: &Path, notes: &[String]) {
+pub fn report_notes(path: &Path, notes: &[String]) {
     notes.iter().for_each(|note| say(&format!("{}: {note}", path.display())));
 }
 

@@ -16,12 +16,12 @@ use crate::output::{print, print_json, write_file};
 use crate::progress::say;
 
 /// Maximum time difference between a loop closure and the true pose that it is compared with, seconds.
-const LONGEST_WAY: f64 = 2.5;
+const MAX_TIME_DIFFERENCE: f64 = 2.5;
 
-/// Judge the loop closures of a map by a true trajectory: how many are right.
+/// Evaluate the loop closures of a map against a true trajectory: how many are correct.
 ///
-/// A loop closure is right if the motion that it stands for, from the nearest node of its submap to the
-/// node that was found in it, is within 0.2 m and 3 degrees of the truth. It is compared between the true
+/// A loop closure is correct if the relative pose that it implies, from the nearest node of its submap to the
+/// node that was matched to it, is within 0.2 m and 3 degrees of the truth. It is compared between the true
 /// poses nearest in time; the short motion to them is taken from the map.
 #[derive(clap::Args)]
 #[command(
@@ -30,9 +30,9 @@ const LONGEST_WAY: f64 = 2.5;
 pub struct LoopsArgs {
     /// Map (.pbstream).
     map: PathBuf,
-    /// True trajectory: TUM, KITTI poses, a table with a line of names, or a map.
+    /// True trajectory: TUM, KITTI poses, a table with a header line, or a map.
     truth: PathBuf,
-    /// Also write the error of each loop closure as a table, with the two times that it relates.
+    /// Also write the error of each loop closure as a table, with the times of its two ends.
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
     /// Print JSON.
@@ -51,10 +51,12 @@ pub fn run(args: &LoopsArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let (in_time, notice) = in_time_base(&truth, &loops)?;
     let offset = notice.as_ref().map_or(Duration::ZERO, |notice| notice.offset);
     let estimate = Trajectory::new(map.nodes.values().copied()).0.shifted(offset);
-    let judged = at_times_of(&truth, &estimate, &in_time, Duration::from_seconds(LONGEST_WAY));
+    let judged = at_times_of(&truth, &estimate, &in_time, Duration::from_seconds(MAX_TIME_DIFFERENCE));
     let left_out = loops.len() - judged.len();
     if left_out > 0 && !global.quiet {
-        say(&format!("{left_out} loop closures have no true pose within {LONGEST_WAY} s and are not judged"));
+        say(&format!(
+            "{left_out} loop closures have no true pose within {MAX_TIME_DIFFERENCE} s and are not judged"
+        ));
     }
     if judged.len() < 2 {
         return Err(CliError::in_file(&args.truth, "it has no poses at the times of the loop closures"));

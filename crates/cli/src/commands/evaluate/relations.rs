@@ -16,18 +16,18 @@ use crate::progress::say;
 /// Translational error below which a relation counts as right, metres.
 const GOOD: f64 = 0.2;
 
-/// Compare the motions of a trajectory with known ones.
+/// Compare the relative poses of a trajectory with known ones (relations).
 ///
 /// The result is that of cartographer_compute_relations_metrics: mean and standard deviation over all
-/// relations. Poses are interpolated at the times of the relations; outside the trajectory its nearest end
-/// is taken, and how often is reported. Relations counted from the start of a CARMEN log are shifted to the
-/// clock of the trajectory, with a notice.
+/// relations. Poses are interpolated at the times of the relations; for times outside the trajectory its
+/// nearest end is taken, and their number is reported. Relations with times from the start of a CARMEN log
+/// are shifted to the clock of the trajectory, with a notice.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  portolan evaluate relations aces.pbstream aces.relations\n  \
     portolan evaluate relations trajectory.tum aces.relations --csv errors.csv\n  \
     portolan evaluate relations aces.pbstream aces.relations --histogram errors.png")]
 pub struct RelationsArgs {
-    /// Map (.pbstream), or trajectory: TUM, KITTI poses, or a table with a line of names.
+    /// Map (.pbstream), or trajectory: TUM, KITTI poses, or a table with a header line.
     #[arg(value_name = "MAP_OR_TRAJECTORY")]
     estimate: PathBuf,
     /// Relations: lines `time1 time2 x y z roll pitch yaw`, or the binary form of `evaluate generate`.
@@ -35,14 +35,14 @@ pub struct RelationsArgs {
     /// Also write the error of each relation as a table.
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
-    /// Also draw how the errors are distributed.
+    /// Also draw a histogram of the errors.
     #[arg(long, value_name = "FILE.png")]
     histogram: Option<PathBuf>,
-    /// Which trajectory of a map. Default: all of them if they follow one another, as the pieces of one
-    /// recording do, else that with the lowest number.
+    /// Trajectory of a map. Default: all of them if they follow one another in time, as the pieces of one
+    /// recording do, else the one with the lowest id.
     #[arg(long, value_name = "ID")]
     trajectory: Option<i32>,
-    /// Times of KITTI poses.
+    /// Times of KITTI poses, one per line.
     #[arg(long, value_name = "FILE")]
     times: Option<PathBuf>,
     /// Print JSON, with more figures.

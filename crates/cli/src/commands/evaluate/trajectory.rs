@@ -21,8 +21,9 @@ const FLAT: f64 = 1e-6;
 
 /// Compare a trajectory with the true one: absolute and relative errors.
 ///
-/// Both files may be a map (.pbstream), TUM (`time x y z qx qy qz qw`), KITTI poses (twelve numbers a line,
-/// with --times) or a table with a line of names; the content says. Both must be of one clock.
+/// Both files may be a map (.pbstream), TUM (`time x y z qx qy qz qw`), KITTI poses (twelve numbers per line,
+/// with --times) or a table with a header line; the format is recognised by the content. Both must have
+/// stamps of the same clock.
 #[derive(clap::Args)]
 #[command(
     after_help = "Examples:\n  portolan evaluate trajectory walk_map/trajectory.tum walk.truth.tum\n  \
@@ -30,36 +31,36 @@ const FLAT: f64 = 1e-6;
     portolan evaluate trajectory 00.txt poses/00.txt --times 00/times.txt --drift"
 )]
 pub struct TrajectoryArgs {
-    /// What is to be measured.
+    /// Trajectory to evaluate.
     estimate: PathBuf,
-    /// The truth.
+    /// True trajectory.
     truth: PathBuf,
-    /// How the trajectories are aligned before errors are computed: by least squares in 2D (se2)
-    /// or in 3D (se3), by the first pose, or not at all. Default: se2 if the estimate never leaves its
-    /// plane, else se3. In 2D heights, roll and pitch are not compared.
+    /// Alignment of the trajectories before errors are computed: by least squares in 2D (se2) or in 3D (se3),
+    /// by the first pose, or none. Default: se2 if the estimate stays at one height, else se3. In 2D heights,
+    /// roll and pitch are not compared.
     #[arg(long, value_enum)]
     align: Option<Align>,
-    /// Compare with the true pose nearest in time, at most so many seconds away, instead of interpolating
-    /// the truth.
+    /// Compare with the true pose nearest in time, within this tolerance, instead of interpolating the truth.
     #[arg(long, value_name = "SECONDS", conflicts_with = "max_gap")]
     nearest: Option<f64>,
     /// Do not interpolate over gaps of the truth longer than this.
     #[arg(long, value_name = "SECONDS")]
     max_gap: Option<f64>,
-    /// Relative errors over so many seconds; may be given several times. Default: 1.
+    /// Time step of relative errors, seconds; may be given several times. Default: 1, unless --rpe-distance
+    /// is given.
     #[arg(long, value_name = "SECONDS", value_parser = positive_step)]
     rpe: Vec<f64>,
-    /// Relative errors over so many metres of the true path; may be given several times.
+    /// Distance step of relative errors along the true path, metres; may be given several times.
     #[arg(long, value_name = "METRES", value_parser = positive_metres)]
     rpe_distance: Vec<f64>,
-    /// Also the drift over segments of 100 to 800 m, as the KITTI benchmark measures it.
+    /// Also compute the drift over segments of 100 to 800 m, as the KITTI benchmark does.
     #[arg(long)]
     drift: bool,
-    /// Which trajectory of a map. Default: all of them if they follow one another, as the pieces of one
-    /// recording do, else that with the lowest number.
+    /// Trajectory of a map. Default: all of them if they follow one another in time, as the pieces of one
+    /// recording do, else the one with the lowest id.
     #[arg(long, value_name = "ID")]
     trajectory: Option<i32>,
-    /// Times of KITTI poses, one a line.
+    /// Times of KITTI poses, one per line.
     #[arg(long, value_name = "FILE")]
     times: Option<PathBuf>,
     /// Print JSON.
@@ -69,13 +70,13 @@ pub struct TrajectoryArgs {
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum Align {
-    /// In 2D.
+    /// Least squares in 2D.
     Se2,
-    /// In 3D.
+    /// Least squares in 3D.
     Se3,
-    /// By the first pose.
+    /// Equal first poses.
     First,
-    /// Not at all.
+    /// No alignment.
     None,
 }
 

@@ -7,19 +7,20 @@ use portolan::reprojection::Reprojected;
 
 use crate::output::counted;
 
-/// The map as a cloud and as pictures of it.
+/// Export of the map as a cloud and as pictures.
 #[derive(clap::Args, Clone, Debug, Default)]
 #[command(next_help_heading = "Cloud (a second pass over the recording)")]
 pub struct CloudArgs {
     /// Also write the map as a cloud of all raw points, each placed by the final trajectory at its own time:
-    /// .ply, .pcd, .las, .laz, .e57 or .xyz. A name without a folder goes to the results.
+    /// .ply, .pcd, .las, .laz, .e57 or .xyz. A name without a folder is written into the folder of the
+    /// results.
     #[arg(long, value_name = "FILE")]
     pub cloud: Option<PathBuf>,
-    /// Keep one point for each cube of this size: the mean of its points. 0.05 is a good start. Memory
-    /// does not grow with the recording, with or without.
+    /// Keep one point per voxel of this size: the mean of its points. 0.05 is a good start. Memory does not
+    /// grow with the recording, with or without this option.
     #[arg(long, value_name = "METRES", requires = "cloud")]
     pub cloud_voxel: Option<f64>,
-    /// Draw no X-ray pictures of maps in 3D.
+    /// Draw no X-ray pictures of 3D maps.
     #[arg(long)]
     pub no_xray: bool,
 }
@@ -39,7 +40,7 @@ impl CloudArgs {
 pub fn summary(points: u64, reprojected: &Reprojected) -> String {
     let mut text = format!("cloud: {} of {}", counted(points, "point", "points"), reprojected.points);
     let left_out = [
-        (reprojected.outside_range, "nearer or farther than mapping takes them"),
+        (reprojected.outside_range, "nearer or farther than the range limits of mapping"),
         (reprojected.outside_trajectory, "at times without a pose"),
     ];
     for (count, why) in left_out.iter().filter(|(count, _)| *count > 0) {

@@ -16,10 +16,10 @@ use crate::progress::Progress;
 /// Runs the job with a progress bar, writes the results and prints their paths.
 pub fn run_job(job: &Job, recording: &dyn Recording, global: &GlobalArgs) -> Result<Finished, CliError> {
     let mut watch = Watch { global, size_bytes: recording.size_bytes(), stage: Stage::Loading };
-    let mut tell = remarks(global);
+    let mut observe = remarks(global);
     let finished = job.run(&mut |event| {
         watch.see(event);
-        tell(event)
+        observe(event)
     });
     watch.enter(Stage::Loading);
     Ok(finished?)

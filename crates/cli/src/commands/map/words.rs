@@ -30,11 +30,11 @@ const MOST_ALIKE: usize = 3;
 
 /// One line for each issue; harmless ones only if requested. `all` must be sorted by kind.
 fn issues(all: impl Iterator<Item = Issue>, with_harmless: bool) -> String {
-    let (harmless, told): (Vec<Issue>, Vec<Issue>) =
+    let (harmless, listed): (Vec<Issue>, Vec<Issue>) =
         all.partition(|issue| issue.severity == Severity::Info && !with_harmless);
     let mut text = String::new();
     let are_alike = |a: &Issue, b: &Issue| (a.kind, &a.sensor, a.severity) == (b.kind, &b.sensor, b.severity);
-    for alike in told.chunk_by(are_alike) {
+    for alike in listed.chunk_by(are_alike) {
         let shown = if alike.len() > MOST_ALIKE { 1 } else { alike.len() };
         let (shown, others) = alike.split_at(shown);
         for issue in shown {
@@ -43,7 +43,7 @@ fn issues(all: impl Iterator<Item = Issue>, with_harmless: bool) -> String {
         }
         if !others.is_empty() {
             let count = others.iter().fold(0u64, |sum, issue| sum.saturating_add(issue.count));
-            text += &format!("  and {count}x alike (report.json lists them)\n");
+            text += &format!("  and {count} more of this kind (report.json lists them)\n");
         }
     }
     let harmless = harmless.len() as u64;
@@ -75,7 +75,7 @@ pub(super) fn summary(
         text += &format!("{}\n", sentence(localisation));
     }
     text += &times(&mapped.scan_times);
-    text += &doubts(mapped);
+    text += &contradictions(mapped);
     text += &mapped.losses;
     text += &degenerate_intervals(&mapped.degenerate_intervals, mapped.recording_seconds);
     text += &issues(mapped.issues.iter(), with_harmless);
@@ -103,7 +103,7 @@ fn times(times: &LatencyHistogram) -> String {
 }
 
 /// Rejected loop closures, places where the map contradicts itself, and drift.
-fn doubts(mapped: &MappingSummary) -> String {
+fn contradictions(mapped: &MappingSummary) -> String {
     let mut text = String::new();
     let contradicted = mapped.contradicted_loop_closures;
     if contradicted > 0 {
@@ -114,20 +114,20 @@ fn doubts(mapped: &MappingSummary) -> String {
     let unsupported = mapped.unsupported_loop_closures;
     if unsupported > 0 {
         text += &format!(
-            "{unsupported} more loop closures would have bent the map and were left out: too few others agree\n"
+            "{unsupported} more loop closures would have bent the map and were left out: too few others agree with them\n"
         );
     }
     let consistency = mapped.self_consistency;
     if consistency.is_contradictory() {
         text += &format!(
-            "the map contradicts itself at {} of {} places that were passed again: parts of it lie over each other (see map.png)\n",
+            "the map contradicts itself at {} of {} places that were passed again: parts of it overlap wrongly (see map.png)\n",
             consistency.contradicted, consistency.places,
         );
     }
     let drift = mapped.drift;
     if drift.is_large() {
         text += &format!(
-            "parts of the map may be off against each other by {:.1} m and {:.0} deg (one standard deviation): neither scans nor loop closures tell how they lie\n",
+            "parts of the map may be off against each other by {:.1} m and {:.0} deg (one standard deviation): neither scans nor loop closures constrain their relative pose\n",
             drift.translation,
             drift.rotation.to_degrees(),
         );

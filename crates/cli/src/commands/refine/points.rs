@@ -10,35 +10,35 @@ use crate::commands::handling::HandlingArgs;
 use crate::error::CliError;
 use crate::progress::{Progress, say};
 
-/// Where the points come from; detected automatically.
+/// Source of the points; detected automatically.
 #[derive(clap::Args, Clone, Debug, Default)]
 #[command(next_help_heading = "Points (detected automatically)")]
 pub struct PointArgs {
     /// Topic of points; may be given several times, for several sensors.
     #[arg(long, value_name = "TOPIC")]
     pub points: Vec<String>,
-    /// The frame whose poses the trajectory holds.
+    /// Frame whose poses the trajectory has.
     #[arg(long, value_name = "FRAME")]
     pub tracking_frame: Option<String>,
     #[command(flatten)]
     pub handling: HandlingArgs,
-    /// Move the stamps of a topic, and the times of its points, by seconds, as in `map`: `/points_rear=-0.05`. May be
-    /// given several times.
+    /// Add seconds to the stamps of a topic and to the times of its points, as in `map`:
+    /// `/points_rear=-0.05`. May be given several times.
     #[arg(long, value_name = "TOPIC=SECONDS", value_parser = time_offset)]
     pub clock_offset: Vec<(String, f64)>,
-    /// Points nearer to their sensor than this are left out, metres: the platform itself.
+    /// Leave out points nearer to their sensor than this, metres: they are on the platform itself.
     #[arg(long, value_name = "METRES", default_value_t = 0.3, value_parser = not_negative)]
     pub min_range: f64,
 }
 
-/// Sensors besides the lidars that know of the motion.
+/// Sensors besides the lidars that measure motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum OtherSensor {
-    /// Angular velocities, and which way is down.
+    /// Angular velocity, and the direction of gravity.
     Imu,
     /// Wheel odometry.
     Odometry,
-    /// Places by satellite.
+    /// Satellite fixes.
     Fixes,
 }
 

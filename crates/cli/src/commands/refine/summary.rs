@@ -73,17 +73,15 @@ pub fn summary(results: &RefineResults, files: &[PathBuf]) -> String {
 /// Result of the cross-validation: agreement of surfaces that were kept out of the fit.
 fn cross_validation_lines(found: &CrossValidation) -> String {
     let agreement = |a: &Agreement| format!("{:.2} -> {:.2} cm", 100.0 * a.before, 100.0 * a.after);
-    let mut text = format!(
-        "surfaces kept out of the fit: seconds apart they agree to {}",
-        agreement(&found.near_in_time)
-    );
+    let mut text =
+        format!("held-out surfaces: seen seconds apart they agree to {}", agreement(&found.near_in_time));
     if found.between_passes.pairs > 0 {
-        text += &format!(", of different passes to {}", agreement(&found.between_passes));
+        text += &format!(", seen in different passes to {}", agreement(&found.between_passes));
     }
     text += "\n";
     for [from, to] in &found.refused {
         text += &format!(
-            "from {from:.0} s to {to:.0} s they agree less than before: the input's motion is kept there\n"
+            "from {from:.0} s to {to:.0} s they agree less than before: the motion of the input is kept there\n"
         );
     }
     text
@@ -96,7 +94,7 @@ fn notes(report: &RefineReport, without_results: bool) -> String {
         let what = if u.is_rotation { "rotation about" } else { "translation along" };
         let [x, y, z] = u.direction;
         text += &format!(
-            "not determined from {:.0} s to {:.0} s: {what} ({x:.2}, {y:.2}, {z:.2}); left as it was\n",
+            "not determined from {:.0} s to {:.0} s: {what} ({x:.2}, {y:.2}, {z:.2}); kept as in the input\n",
             u.from, u.to
         );
     }
@@ -113,7 +111,7 @@ fn notes(report: &RefineReport, without_results: bool) -> String {
         );
     }
     if report.kept_input {
-        text += "REFUSED: the cloud would be less sharp with the refined trajectory, which was thrown away";
+        text += "REFUSED: the refined trajectory is worse than the input and was discarded";
         text += "; refined.tum is the input";
         text += if without_results { ", no cloud and no map are written without --force\n" } else { "\n" };
     }
@@ -121,7 +119,7 @@ fn notes(report: &RefineReport, without_results: bool) -> String {
         text += &format!("warning: {warning}\n");
     }
     if report.stopped {
-        text += "stopped before the end; this is what was reached\n";
+        text += "stopped before the end; these are the results so far\n";
     }
     text
 }

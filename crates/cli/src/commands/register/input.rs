@@ -24,14 +24,14 @@ const NORMAL_NEIGHBOURS: usize = 12;
 const SINGLE_PRECISION_REACH: f64 = 8192.0;
 /// Maximum number of points of a scan that are kept in memory.
 const MOST_POINTS: usize = 50_000_000;
-/// How points are read.
+/// Reading of points.
 #[derive(clap::Args, Clone, Debug)]
 #[command(next_help_heading = "Points")]
 pub struct InputArgs {
     /// Keep one point in each voxel of this edge, metres.
     #[arg(long, value_name = "METRES")]
     reduce: Option<f64>,
-    /// Which point that is.
+    /// Point that is kept in each voxel.
     #[arg(long, value_enum, default_value_t = ReduceTo::Random, requires = "reduce")]
     reduce_to: ReduceTo,
     /// Leave out points nearer than this to the origin of their scan, metres.
@@ -40,21 +40,22 @@ pub struct InputArgs {
     /// Leave out points farther than this from the origin of their scan, metres. Default: none.
     #[arg(long, value_name = "METRES")]
     max_range: Option<f64>,
-    /// Multiply all coordinates, for files that are not in metres: 0.001 for millimetres.
+    /// Multiply all coordinates by this factor, for files that are not in metres: 0.001 for millimetres.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     scale: f64,
-    /// Begin uos scans where an earlier registration left them (.frames) instead of at their first poses (.pose).
+    /// Start uos scans at the poses of an earlier registration (.frames) instead of at their initial poses
+    /// (.pose).
     #[arg(long = "continue")]
     go_on: bool,
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum ReduceTo {
-    /// A measured one, chosen at random but always the same.
+    /// A measured point, chosen at random but reproducibly.
     Random,
-    /// The mean of all.
+    /// The mean of all its points.
     Mean,
-    /// The middle of the voxel.
+    /// The centre of the voxel.
     Centre,
 }
 
@@ -163,7 +164,7 @@ fn read_scan(
         return Err(CliError::in_file(path, reason));
     }
     if points.iter().all(|p| *p == points[0]) {
-        return Err(CliError::in_file(path, "all its points lie at one place"));
+        return Err(CliError::in_file(path, "all its points are at the same position"));
     }
     let cloud = match surfaces {
         // The scanner is at the origin of its scan.

@@ -14,64 +14,64 @@ use crate::error::CliError;
 #[derive(clap::Args, Clone, Debug)]
 #[command(next_help_heading = "Matching of a scan with those before it (ICP)")]
 pub struct IcpArgs {
-    /// What is minimised.
+    /// Error metric, for point to point with its closed-form solution.
     #[arg(long, value_enum, default_value_t = Method::Quaternion)]
     method: Method,
-    /// Pairs farther apart do not count, metres.
+    /// Maximum distance between the points of a pair, metres.
     #[arg(long, value_name = "METRES", default_value_t = IcpOptions::default().max_distance)]
     pub max_distance: f64,
-    /// Most iterations; of large scans with 20000 points first, and again with all.
+    /// Maximum number of iterations; large scans are matched with 20000 points first, and again with all.
     #[arg(long, value_name = "N", default_value_t = IcpOptions::default().max_iterations)]
     pub iterations: usize,
-    /// It ends when the distance of pairs changes by less in each of two iterations, metres.
+    /// Converged if the RMS distance of pairs changes by less than this in each of two iterations, metres.
     #[arg(long, value_name = "METRES", default_value_t = IcpOptions::default().epsilon)]
     epsilon: f64,
-    /// Only pairs each of which is the nearest of the other.
+    /// Use only mutual nearest neighbours.
     #[arg(long)]
     pub reciprocal: bool,
-    /// Fraction of the nearest pairs that is used, above 0 to 1 (trimming).
+    /// Fraction of the pairs that is used, the nearest ones, above 0 to 1 (trimmed ICP).
     #[arg(long, value_name = "FRACTION", default_value_t = 1.0)]
     pub keep: f64,
-    /// Only pairs whose surfaces are rotated against each other by less than this, degrees.
+    /// Use only pairs whose surface normals differ by less than this, degrees.
     #[arg(long, value_name = "DEGREES")]
     normals_within: Option<f64>,
-    /// Pairs lose weight beyond this distance, metres.
+    /// Down-weight pairs farther apart than this, metres.
     #[arg(long, value_name = "METRES")]
     robust: Option<f64>,
-    /// How they lose it.
+    /// Robust kernel of the down-weighting.
     #[arg(long, value_enum, default_value_t = Kernel::Cauchy, requires = "robust")]
     kernel: Kernel,
-    /// Only every N-th point looks for a partner.
+    /// Search a partner only for every N-th point.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub every: usize,
     /// Match each scan with all before it.
     #[arg(long)]
     metascan: bool,
-    /// Match each scan with so many before it.
+    /// Match each scan with this number of scans before it.
     #[arg(long, value_name = "N", conflicts_with = "metascan")]
     metascan_last: Option<usize>,
-    /// Begin at the first pose of each scan as it is, without the correction of the scan before.
+    /// Start at the initial pose of each scan as it is, without the correction of the scan before.
     #[arg(long)]
     trust_poses: bool,
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum Method {
-    /// Distances of points, by unit quaternions.
+    /// Point to point, by unit quaternions.
     Quaternion,
-    /// By singular values.
+    /// Point to point, by singular values.
     Svd,
-    /// By orthonormal matrices.
+    /// Point to point, by orthonormal matrices.
     Orthonormal,
-    /// By dual quaternions.
+    /// Point to point, by dual quaternions.
     DualQuaternion,
-    /// By helical motions.
+    /// Point to point, by helical motions.
     Helix,
-    /// By small angles.
+    /// Point to point, by small angles.
     SmallAngle,
-    /// Distances from tangent planes.
+    /// Point to tangent plane.
     PointToPlane,
-    /// Distances weighted by the surfaces of both scans.
+    /// Generalized ICP: distances weighted by the surfaces of both scans.
     Generalized,
 }
 
@@ -85,11 +85,11 @@ pub enum SurfacesOf {
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum Kernel {
-    /// Linear beyond the distance.
+    /// Linear loss beyond the distance.
     Huber,
-    /// Logarithmic.
+    /// Logarithmic loss.
     Cauchy,
-    /// Bounded.
+    /// Bounded loss.
     #[value(name = "geman-mcclure")]
     GemanMcClure,
 }
@@ -176,20 +176,21 @@ fn positive(name: &str, value: f64) -> Result<(), CliError> {
     }
 }
 
-/// When loops are closed.
+/// Closing of loops.
 #[derive(clap::Args, Clone, Debug)]
 #[command(next_help_heading = "Loops")]
 pub struct LoopArgs {
-    /// Where the trajectory comes back, match the scans of both ends and distribute the error over the loop.
+    /// Where the trajectory returns to an earlier place, match the scans of both ends and distribute the
+    /// error over the loop.
     #[arg(long)]
     close_loops: bool,
-    /// The trajectory comes back where two scans are nearer than this, metres.
+    /// Close a loop where two scans are nearer than this, metres.
     #[arg(long, value_name = "METRES", default_value_t = LoopOptions::default().distance, requires = "close_loops")]
     loop_distance: f64,
-    /// Scans that lie at least between them.
+    /// Minimum difference of the indices of these two scans.
     #[arg(long, value_name = "N", default_value_t = LoopOptions::default().least_scans, requires = "close_loops")]
     loop_scans: usize,
-    /// Farthest points of a pair when both ends are matched, metres.
+    /// Maximum distance between the points of a pair when both ends are matched, metres.
     #[arg(long, value_name = "METRES", default_value_t = LoopOptions::default().max_distance, requires = "close_loops")]
     loop_max_distance: f64,
 }
@@ -211,56 +212,57 @@ impl LoopArgs {
 #[derive(clap::Args, Clone, Debug)]
 #[command(next_help_heading = "Matching of all scans at once")]
 pub struct GlobalMatchingArgs {
-    /// Then match all scans at once.
+    /// Match all scans at once afterwards.
     #[arg(long)]
     pub global: bool,
     /// Parametrisation of the poses.
     #[arg(long, value_enum, default_value_t = GlobalName::Se3, requires = "global")]
     global_method: GlobalName,
-    /// Pairs farther apart do not count, metres. Default: as --max-distance.
+    /// Maximum distance between the points of a pair, metres. Default: that of --max-distance.
     #[arg(long, value_name = "METRES", requires = "global")]
     global_distance: Option<f64>,
-    /// Match once more with this smaller distance, metres.
+    /// Match once more with this smaller maximum distance, metres.
     #[arg(long, value_name = "METRES", requires = "global")]
     pub last_distance: Option<f64>,
-    /// Most iterations. Default: as --iterations.
+    /// Maximum number of iterations. Default: that of --iterations.
     #[arg(long, value_name = "N", requires = "global")]
     global_iterations: Option<usize>,
-    /// It ends when scans move by less than this on average, metres.
+    /// Converged if scans move by less than this on average, metres.
     #[arg(long, value_name = "METRES", default_value_t = GlobalOptions::default().epsilon, requires = "global")]
     global_epsilon: f64,
-    /// Only distances across surfaces count, and only where both surfaces face the same way (se3 and euler).
+    /// Use point-to-plane distances, and only pairs whose surfaces face the same direction (se3 and euler).
     #[arg(long, requires = "global")]
     global_planes: bool,
-    /// Which scans are compared.
+    /// Which pairs of scans are matched.
     #[arg(long, value_enum, default_value_t = LinksName::Overlap, requires = "global")]
     pub links: LinksName,
-    /// Compare the scans that a file names: number of scans, number of links, then two scans a line, from 0.
+    /// Match the pairs of scans in a file: number of scans, number of pairs, then two indices per line, from
+    /// 0.
     #[arg(long, value_name = "FILE", requires = "global")]
     pub links_file: Option<PathBuf>,
-    /// By overlap: scans with more pairs than this are compared.
+/// With `overlap`: match scans with more point pairs than this.
     #[arg(long, value_name = "N", default_value_t = 400, requires = "global")]
     pub min_pairs: usize,
-    /// By distance: scans nearer than this are compared, metres.
+    /// With `distance`: match scans nearer than this, metres.
     #[arg(long, value_name = "METRES", default_value_t = 5.0, requires = "global")]
     pub link_distance: f64,
-    /// By distance: scans that lie at least between them; neighbours are always compared.
+    /// With `distance`: minimum number of scans between them; neighbours are always matched.
     #[arg(long, value_name = "N", default_value_t = 20, requires = "global")]
     pub link_gap: usize,
 }
 
-/// Which scans are compared.
+/// Pairs of scans that are matched.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 pub enum LinksName {
-    /// Those with enough points near each other.
+    /// Scans with enough points near each other.
     Overlap,
-    /// Neighbours, and those that were taken near each other.
+    /// Neighbours in the sequence, and scans that were taken near each other.
     Distance,
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum GlobalName {
-    /// Twists: no singularity.
+    /// Twists, without singularities.
     Se3,
     /// Euler angles.
     Euler,

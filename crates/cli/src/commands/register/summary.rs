@@ -8,7 +8,7 @@ use portolan_geometry::{Quaternion, nalgebra as na};
 use crate::output::counted;
 
 /// Advice if the result is unreliable.
-pub const ADVICE: &str = "give a nearer first pose (--guess, --poses), a larger --max-distance or more --iterations, if the \
+pub const ADVICE: &str = "give a more accurate first pose (--guess, --poses), a larger --max-distance or more --iterations, if the \
     scans overlap at all; --force writes the result all the same";
 
 /// Summary of a registration: poses, loops, global matching and files.
@@ -36,7 +36,7 @@ pub fn text(work: &Registration, registered: &[Registered], files: &[PathBuf]) -
         }
         if let Some(d) = scan.deviations {
             let [shift, turn] = [&d[3..], &d[..3]].map(|part| part.iter().map(|v| v * v).sum::<f64>().sqrt());
-            text += &format!(", good to {:.2} mm and {:.4} deg", 1e3 * shift, turn.to_degrees());
+            text += &format!(", sigma {:.2} mm and {:.4} deg", 1e3 * shift, turn.to_degrees());
         }
         if scan.doubt.is_some() {
             text += ", NOT to be trusted";
@@ -57,7 +57,7 @@ pub fn text(work: &Registration, registered: &[Registered], files: &[PathBuf]) -
     }
     if let Some(global) = &work.global {
         text += &format!(
-            "all at once: {}, {} within {:.4} m rms, {}{}\n",
+            "global matching: {}, {} within {:.4} m rms, {}{}\n",
             counted(global.links as u64, "link", "links"),
             counted(global.pairs, "pair", "pairs"),
             global.rms,

@@ -28,18 +28,18 @@ pub enum AnyScenario {
     ThreeD(Box<Scenario3dOptions>),
 }
 
-/// The building, the walk, the sensors and what goes wrong with them.
+/// Building, motion, sensors and faults.
 #[derive(clap::Args, Clone, Debug)]
 pub struct ScenarioArgs {
-    /// Kind of surroundings: office, corridors, hall and warehouse are floors for a robot with a planar
-    /// lidar; museum (storeys, stairs, garden), garage (decks and ramps), park, tunnel and field (where a lidar
-    /// is degenerate along the path) are in 3D.
+    /// Kind of environment: office, corridors, hall and warehouse are 2D, for a robot with a planar lidar;
+    /// museum (storeys, stairs, garden), garage (decks and ramps), park, tunnel and field (where a lidar is
+    /// degenerate along the path) are 3D.
     #[arg(default_value = "office", value_name = "SCENARIO", value_parser = scene_parser())]
     scene: AnyScene,
-    /// Building, walk, people and noise follow from it.
+    /// Seed of building, path, people and noise.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// Seed of the building alone, to walk through the same building several times.
+    /// Seed of the building alone, for several recordings of the same building.
     #[arg(long, help_heading = "Building", value_name = "N")]
     building_seed: Option<u64>,
     /// Length of the recording. Default: one full tour of the building.
@@ -48,19 +48,19 @@ pub struct ScenarioArgs {
     /// Length of the recording in minutes.
     #[arg(long, value_name = "MINUTES", conflicts_with = "seconds")]
     minutes: Option<f64>,
-    /// Width and height of the floor, metres: `40x25`. Default: what suits the building.
+    /// Width and height of the floor, metres: `40x25`. Default: that of the scenario.
     #[arg(long, help_heading = "Building", value_name = "WxH", value_parser = parse_size)]
     size: Option<[f64; 2]>,
-    /// How many people walk about. Default: what suits the building.
+    /// Number of people who walk about. Default: that of the scenario.
     #[arg(long, help_heading = "Building", value_name = "N")]
     people: Option<usize>,
     /// Fraction of doors that are closed, 0 to 1. Default 0.2. Planar scenarios only.
     #[arg(long, help_heading = "Building", value_name = "FRACTION")]
     closed_doors: Option<f64>,
-    /// Storeys or decks, 1 to 6. Default 3. 3D scenarios only.
+    /// Number of storeys (museum) or decks (garage), 1 to 6. Default 3. 3D scenarios only.
     #[arg(long, help_heading = "Building", value_name = "N")]
     storeys: Option<usize>,
-    /// How much furniture stands about: 0 none, 1 as usual, at most 3.
+    /// Amount of furniture: 0 none, 1 as usual, at most 3.
     #[arg(long, help_heading = "Building", value_name = "FACTOR", default_value_t = 1.0)]
     clutter: f64,
     /// Fraction of larger rooms with a glass front, 0 to 1.
@@ -72,37 +72,37 @@ pub struct ScenarioArgs {
     /// Scans or sweeps per second. Default 10.
     #[arg(long, help_heading = "Robot and sensors", value_name = "HZ")]
     scan_rate: Option<f64>,
-    /// Beams of a scan, in 3D firings of a revolution. Default 360, in 3D what the lidar has.
+    /// Beams per scan, in 3D firings per revolution. Default 360, in 3D that of the lidar model.
     #[arg(long, help_heading = "Robot and sensors", value_name = "N")]
     beams: Option<usize>,
-    /// Angle that a scan covers, degrees. Default 360. Planar scenarios only.
+    /// Field of view of a scan, degrees. Default 360. Planar scenarios only.
     #[arg(long, help_heading = "Robot and sensors", value_name = "DEGREES")]
     field_of_view: Option<f64>,
-    /// Range of the lidar, metres. Default 12, in 3D what the lidar has.
+    /// Range of the lidar, metres. Default 12, in 3D that of the lidar model.
     #[arg(long, help_heading = "Robot and sensors", value_name = "METRES")]
     range: Option<f64>,
     /// Number of spinning lidars, at most 8; every second one spins about a horizontal axis. Default 1.
     /// 3D scenarios only.
     #[arg(long, help_heading = "Robot and sensors", value_name = "N")]
     lidars: Option<usize>,
-    /// Kind of lidar: vlp16, vlp32, hdl64, os1-16, os1-64, os0-128, xt32, or avia, mid360, whose sweeps never repeat
-    /// their pattern; or
-    /// `LOW:HIGH:BEAMS[:COLUMNS[:RANGE]]`, or the elevation of each beam, `-15,-7,-3,0,3[:COLUMNS[:RANGE]]`, angles
-    /// in degrees. Default vlp16. 3D scenarios only.
+    /// Lidar model: vlp16, vlp32, hdl64, os1-16, os1-64, os0-128, xt32, or avia, mid360 with a non-repetitive
+    /// scan pattern; or `LOW:HIGH:BEAMS[:COLUMNS[:RANGE]]`, or the elevation of each beam,
+    /// `-15,-7,-3,0,3[:COLUMNS[:RANGE]]`, angles in degrees. Default vlp16. 3D scenarios only.
     #[arg(long, help_heading = "Robot and sensors", value_name = "MODEL", allow_hyphen_values = true)]
     lidar: Option<BeamTable>,
-    /// Where a spinning lidar is on its carrier: metres and degrees; may be given once for each. 3D scenarios only.
+    /// Pose of a spinning lidar on the platform, metres and degrees; may be given once for each. 3D scenarios
+    /// only.
     #[arg(long, help_heading = "Robot and sensors", value_name = "X,Y,Z,ROLL,PITCH,YAW",
         value_parser = pose_3d, allow_hyphen_values = true)]
     mounting: Vec<Rigid3>,
-    /// Leave the times of points out. 3D scenarios only.
+    /// Record points without times. 3D scenarios only.
     #[arg(long, help_heading = "Robot and sensors")]
     no_point_times: bool,
-    /// What carries the sensors: walker or wheels. Default: walker in the museum, else wheels. 3D
+    /// Platform that carries the sensors: walker or wheels. Default: walker in the museum, else wheels. 3D
     /// scenarios only.
-    #[arg(long, help_heading = "Robot and sensors", value_name = "WHO", value_parser = carrier_parser())]
+    #[arg(long, help_heading = "Robot and sensors", value_name = "PLATFORM", value_parser = carrier_parser())]
     carrier: Option<Carrier>,
-    /// Stand still all the time (with --seconds or --minutes). 3D scenarios only.
+    /// Stand still throughout (with --seconds or --minutes). 3D scenarios only.
     #[arg(long, help_heading = "Robot and sensors")]
     standing: bool,
     /// Record landmarks on the walls. 3D scenarios only.
@@ -111,20 +111,20 @@ pub struct ScenarioArgs {
     /// Record no satellite fixes. 3D scenarios only.
     #[arg(long, help_heading = "Robot and sensors")]
     no_gnss: bool,
-    /// From, to in seconds since the start: no satellite fix there, `30:60`; may be given several times.
-    /// 3D scenarios only.
+    /// Record no satellite fixes in this interval, seconds since the start, `30:60`; may be given several
+    /// times. 3D scenarios only.
     #[arg(long, help_heading = "Robot and sensors", value_name = "FROM:TO", value_parser = parse_span)]
     gnss_outage: Vec<[f64; 2]>,
-    /// Record no wheel odometry (in 3D there is none where one walks).
+    /// Record no wheel odometry (in 3D, a walker has none).
     #[arg(long, help_heading = "Robot and sensors")]
     no_odometry: bool,
     /// Record no IMU.
     #[arg(long, help_heading = "Robot and sensors")]
     no_imu: bool,
-    /// Exact sensors and nobody walking about.
+    /// Sensors without errors, and no people.
     #[arg(long, help_heading = "Robot and sensors", conflicts_with = "people")]
     exact: bool,
-    /// Something that goes wrong; may be given several times: duplicate:SENSOR:N, backward:SENSOR:N:SECONDS,
+    /// Fault to simulate; may be given several times: duplicate:SENSOR:N, backward:SENSOR:N:SECONDS,
     /// gap:SENSOR:FROM:TO, nan:N, empty:N, jump:SECONDS:X:Y:YAW, no-gravity, clock:SENSOR:SECONDS,
     /// no-tf:SENSOR, dies:SECONDS (the last lidar), saturate:GYROSCOPE:ACCELEROMETER, swap-axes (IMU), where
     /// SENSOR is scan, odom or imu and N means every N-th message.
@@ -259,13 +259,13 @@ fn carrier_parser() -> impl TypedValueParser<Value = Carrier> {
 
 fn parse_size(text: &str) -> Result<[f64; 2], String> {
     parse_pair(text, &['x', 'X'])
-        .ok_or_else(|| format!("{text} is no size; write width and height in metres, as 40x25"))
+        .ok_or_else(|| format!("{text} is not a size; write width and height in metres, as 40x25"))
 }
 
 fn parse_span(text: &str) -> Result<[f64; 2], String> {
     parse_pair(text, &[':'])
         .filter(|[from, to]| from < to)
-        .ok_or_else(|| format!("{text} is no span of time; write from and to in seconds, as 30:60"))
+        .ok_or_else(|| format!("{text} is not a time span; write from and to in seconds, as 30:60"))
 }
 
 fn parse_pair(text: &str, separators: &[char]) -> Option<[f64; 2]> {

@@ -45,7 +45,7 @@ fn answers_come_back_and_more_are_added() {
 }
 
 #[test]
-fn whatever_is_damaged_or_missing_at_the_end_is_cut_off() {
+fn damaged_or_missing_records_at_the_end_are_cut_off() {
     let folder = left(&[1.5, 2.5, 3.5]);
     let path = folder.path().join(JOURNAL);
     let whole = fs::read(&path).unwrap();
@@ -79,7 +79,7 @@ fn journals_of_other_jobs_are_refused_with_what_differs() {
     resume(&identity("usual")).unwrap();
     let nothing = tempfile::tempdir().unwrap();
     let error = Journal::resume(nothing.path(), &identity("usual"), 0).map(|_| ()).unwrap_err().to_string();
-    assert!(error.contains("nothing to go on with"), "{error}");
+    assert!(error.contains("there is no run to resume"), "{error}");
 }
 
 #[test]
@@ -111,7 +111,7 @@ fn one_process_writes_at_a_time_and_foreign_files_stay() {
 }
 
 #[test]
-fn a_moment_leaves_no_file() {
+fn a_short_run_leaves_no_journal() {
     let folder = tempfile::tempdir().unwrap();
     let journal = Journal::begin(folder.path(), &identity("usual"), 0);
     journal.memory().keep(Some(1), &1.0);
@@ -171,7 +171,7 @@ fn a_process_whose_disk_fails() {
         "begin" => Ok(Journal::begin(folder, &identity("usual"), 0)),
         _ => Journal::resume(folder, &identity("usual"), 0).map(|(journal, _)| journal),
     };
-    let said = match journal {
+    let answer = match journal {
         Err(error) => format!("refused: {error}"),
         Ok(journal) => {
             (10..13).for_each(|question| journal.memory().keep(Some(question), &(question as f64)));
@@ -186,7 +186,7 @@ fn a_process_whose_disk_fails() {
             }
         }
     };
-    let line = format!("{FAULT} {} {said}\n", mend());
+    let line = format!("{FAULT} {} {answer}\n", mend());
     std::io::Write::write_all(&mut std::io::stdout(), line.as_bytes()).unwrap();
 }
 
@@ -202,11 +202,11 @@ fn with_failing_disk(how: &str, fault: &str, at: u64, folder: &std::path::Path) 
 }
 
 /// The number of operations, and the message.
-fn said(process: std::process::Child) -> (u64, String) {
+fn answer(process: std::process::Child) -> (u64, String) {
     let output = String::from_utf8(process.wait_with_output().unwrap().stdout).unwrap();
     let line = output.lines().find_map(|line| line.split_once(&format!("{FAULT} "))).unwrap_or_default().1;
-    let (operations, said) = line.split_once(' ').unwrap_or_else(|| panic!("{output}"));
-    (operations.parse().unwrap(), said.to_owned())
+    let (operations, answer) = line.split_once(' ').unwrap_or_else(|| panic!("{output}"));
+    (operations.parse().unwrap(), answer.to_owned())
 }
 
 /// Answers of [`a_process_whose_disk_fails`] in a journal.
@@ -228,7 +228,7 @@ fn journals_on_a_disk_that_fails_are_resumed_as_far_as_they_are_whole() {
             folder
         };
         let folder = prepared();
-        let (operations, good) = said(with_failing_disk(how, "Full", u64::MAX, folder.path()));
+        let (operations, good) = answer(with_failing_disk(how, "Full", u64::MAX, folder.path()));
         assert!(operations >= 4 && good == "written: true", "{how}: {operations}, {good}");
         let cases = ["Full", "Broken", "BrokenOnce"].into_iter();
         let cases = cases.flat_map(|fault| (0..operations).map(move |at| (fault, at)));
@@ -238,28 +238,31 @@ fn journals_on_a_disk_that_fails_are_resumed_as_far_as_they_are_whole() {
         });
         // All in parallel, as each waits for its journal to be written.
         for (fault, at, process, folder) in cases.collect::<Vec<_>>() {
-            let (case, (_, said)) = (format!("{how}, {fault} at {at}"), said(process));
+            let (case, (_, answer)) = (format!("{how}, {fault} at {at}"), answer(process));
             let path = folder.path().join(JOURNAL);
-            assert_eq!(said.starts_with("written"), fault == "InterruptedAndShort", "{case}: {said}");
-            let is_named = said.contains(JOURNAL) || said.starts_with("lost");
-            assert!(said.starts_with("written") || is_named && said.contains("os error"), "{case}: {said}");
-            if said.starts_with("refused") {
+            assert_eq!(answer.starts_with("written"), fault == "InterruptedAndShort", "{case}: {answer}");
+            let is_named = answer.contains(JOURNAL) || answer.starts_with("lost");
+            assert!(
+                answer.starts_with("written") || is_named && answer.contains("os error"),
+                "{case}: {answer}"
+            );
+            if answer.starts_with("refused") {
                 // Its content is unknown, so it stays.
-                assert!(fs::read(&path).unwrap() == whole, "{case}: {said}");
+                assert!(fs::read(&path).unwrap() == whole, "{case}: {answer}");
             }
             match Journal::resume(folder.path(), &identity("usual"), 0) {
                 Ok((journal, _)) => {
                     let (old, new) = (answers(&journal), later_answers(&journal));
                     assert!(old == [1.5, 2.5] || how == "begin" && old.is_empty(), "{case}: {old:?}");
                     assert!(LATER.starts_with(&new), "{case}: {new:?}");
-                    assert!(!said.starts_with("lost: false") || old.len() == 2, "{case}: {said}");
+                    assert!(!answer.starts_with("lost: false") || old.len() == 2, "{case}: {answer}");
                 }
                 Err(error) => {
                     assert!(
-                        matches!(error, JobError::NoJournal(_)) && said.starts_with("lost: false"),
-                        "{case}: {error}, {said}"
+                        matches!(error, JobError::NoJournal(_)) && answer.starts_with("lost: false"),
+                        "{case}: {error}, {answer}"
                     );
-                    assert!(!path.exists(), "{case}: {said}");
+                    assert!(!path.exists(), "{case}: {answer}");
                 }
             }
         }

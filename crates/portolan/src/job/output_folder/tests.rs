@@ -7,13 +7,13 @@ const NAMES: [&str; 2] = ["map.pbstream", "map.png"];
 
 /// Begins a run; returns it and the remarks.
 fn begin(path: &Path, verb: &'static str, force: bool) -> (Result<OutputFolder, JobError>, Vec<String>) {
-    let mut said = Vec::new();
-    let begun = OutputFolder::begin(path, verb, &NAMES, force, &mut |event| collect(event, &mut said));
-    (begun, said)
+    let mut remarks = Vec::new();
+    let begun = OutputFolder::begin(path, verb, &NAMES, force, &mut |event| collect(event, &mut remarks));
+    (begun, remarks)
 }
 
-fn collect(event: &Event, said: &mut Vec<String>) -> ControlFlow<()> {
-    said.extend(if let Event::Remark(remark) = event { Some(remark.to_string()) } else { None });
+fn collect(event: &Event, remarks: &mut Vec<String>) -> ControlFlow<()> {
+    remarks.extend(if let Event::Remark(remark) = event { Some(remark.to_string()) } else { None });
     ControlFlow::Continue(())
 }
 
@@ -22,9 +22,9 @@ fn write(folder: &OutputFolder, name: &str) {
 }
 
 fn finish(folder: &OutputFolder, stale: Stale, inputs: &[PathBuf]) -> Vec<String> {
-    let mut said = Vec::new();
-    folder.finish(stale, inputs, &mut |event| collect(event, &mut said)).unwrap();
-    said
+    let mut remarks = Vec::new();
+    folder.finish(stale, inputs, &mut |event| collect(event, &mut remarks)).unwrap();
+    remarks
 }
 
 /// A folder with these files of a run.
@@ -76,24 +76,27 @@ fn results_of_another_verb_are_foreign() {
 }
 
 #[test]
-fn what_an_earlier_run_left_is_removed() {
+fn files_of_an_earlier_run_are_removed() {
     let folder = written(&["map.pbstream", "map.png", "cloud.ply", "changed.png", "input.tum"]);
     let at = |name: &str| folder.path().join(name);
     std::fs::write(at("changed.png"), "by hand").unwrap();
     let run = begin(folder.path(), "map", false).0.unwrap();
     write(&run, "map.pbstream");
-    let said = finish(&run, Stale::Name, &[]);
-    assert!(said.len() == 1 && said[0].contains("cloud.ply") && at("cloud.ply").exists(), "{said:?}");
+    let remarks = finish(&run, Stale::Name, &[]);
+    assert!(
+        remarks.len() == 1 && remarks[0].contains("cloud.ply") && at("cloud.ply").exists(),
+        "{remarks:?}"
+    );
     let run = begin(folder.path(), "map", false).0.unwrap();
     write(&run, "map.pbstream");
-    let said = finish(&run, Stale::Remove, &[folder.path().join(".").join("input.tum")]);
-    assert!(said.len() == 2 && said[0].contains("cloud.ply, map.png"), "{said:?}");
-    assert!(said[1].contains("changed.png, input.tum"), "{said:?}");
+    let remarks = finish(&run, Stale::Remove, &[folder.path().join(".").join("input.tum")]);
+    assert!(remarks.len() == 2 && remarks[0].contains("cloud.ply, map.png"), "{remarks:?}");
+    assert!(remarks[1].contains("changed.png, input.tum"), "{remarks:?}");
     assert_eq!(names(folder.path()), ["changed.png", "input.tum", "map.pbstream", MANIFEST]);
 }
 
 #[test]
-fn a_run_that_was_killed_stands_in_no_way() {
+fn a_killed_run_does_not_block_the_next() {
     let folder = tempfile::tempdir().unwrap();
     let run = begin(folder.path(), "map", false).0.unwrap();
     write(&run, "map.pbstream");
@@ -103,13 +106,13 @@ fn a_run_that_was_killed_stands_in_no_way() {
     begin(folder.path(), "map", false).0.unwrap();
     std::fs::write(folder.path().join("map.png"), "whole").unwrap();
     std::fs::write(folder.path().join(".portolan-half.tmp"), "half").unwrap();
-    let (run, said) = begin(folder.path(), "map", false);
-    assert!(run.is_ok() && said.len() == 1 && said[0].contains("1 temporary file"), "{said:?}");
+    let (run, remarks) = begin(folder.path(), "map", false);
+    assert!(run.is_ok() && remarks.len() == 1 && remarks[0].contains("1 temporary file"), "{remarks:?}");
     assert_eq!(names(folder.path()), ["map.pbstream", "map.png", MANIFEST]);
 }
 
 #[test]
-fn damaged_lists_and_names_that_lead_elsewhere_harm_nobody() {
+fn damaged_manifests_never_remove_files_elsewhere() {
     let folder = written(&NAMES);
     let victim = tempfile::NamedTempFile::new().unwrap();
     let content = serde_json::to_string(&Content::of(victim.path()).unwrap()).unwrap();

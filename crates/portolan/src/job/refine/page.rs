@@ -97,13 +97,13 @@ fn notes(page: &mut HtmlPage, results: &RefineResults) {
     let report = &results.refined.report;
     report.warnings.iter().for_each(|warning| page.warning(warning));
     if report.stopped {
-        page.warning("It was stopped before the end; this is what was reached.");
+        page.warning("It was stopped before the end; these are the results so far.");
     }
     for u in &report.undetermined {
         let what = if u.is_rotation { "rotation about" } else { "translation along" };
         let [x, y, z] = u.direction;
         page.warning(&format!(
-            "Not determined by what was seen from {:.0} s to {:.0} s: {what} ({x:.2}, {y:.2}, {z:.2}); left as it was.",
+            "Not determined by the measurements from {:.0} s to {:.0} s: {what} ({x:.2}, {y:.2}, {z:.2}); kept as in the input.",
             u.from, u.to
         ));
     }

@@ -17,17 +17,17 @@ pub fn reason_for_distrust(result: &IcpResult, points: usize, icp: &IcpOptions) 
     let share = result.pairs as f64 / asked.max(1.0);
     if share < least {
         return Some(format!(
-            "only {:.0} % of its points lie within {} m of the scans before it",
+            "only {:.0} % of its points are within {} m of the scans before it",
             100.0 * share,
             icp.max_distance
         ));
     }
     if !result.converged {
-        return Some("it did not come to rest".to_owned());
+        return Some("matching did not converge".to_owned());
     }
     (result.rms > CHANCE * icp.max_distance).then(|| {
         format!(
-            "its pairs lie {:.3} m apart, which is what chance gives within --max-distance {}",
+            "its point pairs are {:.3} m apart, as those of unrelated scans would be within --max-distance {}",
             result.rms, icp.max_distance
         )
     })

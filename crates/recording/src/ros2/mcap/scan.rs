@@ -185,19 +185,19 @@ impl Scan<'_> {
         let place = self.summary.chunks.get(&at).cloned();
         self.visited_chunks += usize::from(place.is_some());
         let bounds = self.chunk_bounds(at, record, &head);
-        let lies = bounds.contradict();
+        let is_wrong = bounds.contradict();
         let Some(compression) = head.compression else {
             self.index.issues.add(IssueKind::UnknownChunkCompression);
             return Ok(bounds.record_end.min(bounds.next_chunk));
         };
-        if compression == Compression::None && (lies || head.records_bytes > MAX_SEGMENT_BYTES) {
+        if compression == Compression::None && (is_wrong || head.records_bytes > MAX_SEGMENT_BYTES) {
             // An uncompressed chunk needs no boundary: its records can be read as if they were outside of it.
-            if lies {
+            if is_wrong {
                 self.index.issues.add(IssueKind::WrongChunkLength);
             }
             return Ok(bounds.data);
         }
-        let data_end = if lies { self.likely_data_end(&bounds)? } else { bounds.data_end };
+        let data_end = if is_wrong { self.likely_data_end(&bounds)? } else { bounds.data_end };
         let segment = Segment {
             offset: bounds.data,
             stored_bytes: data_end - bounds.data,
@@ -208,7 +208,7 @@ impl Scan<'_> {
             last: head.last,
             connections: None,
         };
-        let is_sound = |place: &ChunkPlace| !lies && self.is_as_summarized(record, &head, place);
+        let is_sound = |place: &ChunkPlace| !is_wrong && self.is_as_summarized(record, &head, place);
         if let Some(place) = place.filter(is_sound) {
             let next = data_end.saturating_add(place.message_index_bytes);
             // Without message indexes the channels of a chunk are not known.
@@ -218,7 +218,7 @@ impl Scan<'_> {
                 return Ok(next);
             }
         }
-        self.pending = Some(PendingChunk { segment, counts: BTreeMap::new(), sound: !lies });
+        self.pending = Some(PendingChunk { segment, counts: BTreeMap::new(), sound: !is_wrong });
         Ok(data_end)
     }
 

@@ -103,7 +103,8 @@ fn of_recording(
     let chosen = within_all(&read.store, &dense, sample);
     if chosen.is_empty() {
         return Err(CliError::Failed(
-            "no point of the recording lies within the time of the trajectory (of all of them)".to_owned(),
+            "no point of the recording is within the time span of the trajectory (of all trajectories)"
+                .to_owned(),
         ));
     }
     let mut clouds = Vec::new();

@@ -19,21 +19,22 @@ const REFERENCE_POINTS: usize = 30_000_000;
 #[derive(clap::Args)]
 #[command(next_help_heading = "Truth")]
 pub struct TruthArgs {
-    /// True surfaces: solid boxes, one a line, `x0,y0,z0,x1,y1,z1` in metres; or a mesh (PLY, OBJ, STL).
+    /// True surfaces: solid boxes, one per line, `x0,y0,z0,x1,y1,z1` in metres; or a mesh (PLY, OBJ, STL).
     #[arg(long, value_name = "FILE", conflicts_with = "reference")]
     surfaces: Option<PathBuf>,
-    /// A more exact cloud of the same place as the truth, for example of a terrestrial scanner.
+    /// Reference cloud of higher accuracy as the truth, for example from a terrestrial scanner.
     #[arg(long, value_name = "CLOUD")]
     reference: Option<PathBuf>,
-    /// Points farther than this from every true surface are of something that the truth does not have: they are
-    /// counted and left out, metres. Default: all points count.
+    /// Leave out points farther than this from every true surface, metres: they are on objects that the truth
+    /// does not contain. Their number is reported. Default: all points count.
     #[arg(long, value_name = "METRES")]
     beyond: Option<f64>,
-    /// Align each cloud with the true surfaces first: rigidly, by least distances.
+    /// Align each cloud with the true surfaces first: rigidly, minimising distances.
     #[arg(long, conflicts_with = "truth")]
     fit: bool,
-    /// The true trajectory, to which each one is aligned (rigidly, by least squares over its positions) before
-    /// its points are compared with the surfaces. Without it, and without --fit, the frames must be the same.
+    /// True trajectory. Each trajectory is aligned with it (rigidly, by least squares over its positions)
+    /// before its points are compared with the surfaces. Without it, and without --fit, the frames must be
+    /// the same.
     #[arg(long, value_name = "FILE")]
     truth: Option<PathBuf>,
 }
@@ -87,7 +88,7 @@ fn surfaces(path: &Path, quiet: bool) -> Result<(TrueSurfaces, bool), CliError> 
     })?;
     if mesh.left_out > 0 && !quiet {
         let faces = counted(mesh.left_out as u64, "face", "faces");
-        say(&format!("{}: {faces} with corners that are not there left out", path.display()));
+        say(&format!("{}: {faces} with missing corners were left out", path.display()));
     }
     let lost_data = mesh.left_out > 0;
     TrueSurfaces::triangles(mesh.triangles).map(|surfaces| (surfaces, lost_data)).ok_or_else(none)

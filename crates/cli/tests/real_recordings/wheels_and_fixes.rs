@@ -39,7 +39,7 @@ pub(super) fn odometry_that_stands(scan: &RecordedMessage) -> Vec<RecordedMessag
 }
 
 /// Error and report of a drive whose odometry tells this in place of the truth.
-fn with_odometry(told: impl Fn(Rigid3) -> Rigid3) -> Option<(f64, String)> {
+fn with_odometry(reported: impl Fn(Rigid3) -> Rigid3) -> Option<(f64, String)> {
     let recording = real("lidar3d/kitti_0001.bag")?;
     let truth = read(&real("lidar3d/kitti_0001.truth.tum")?);
     let truth_from_lidar = Rigid3::translation(0.81, -0.32, 0.80);
@@ -48,7 +48,7 @@ fn with_odometry(told: impl Fn(Rigid3) -> Rigid3) -> Option<(f64, String)> {
     let folder = tempfile::tempdir().unwrap();
     let with_wheels = folder.path().join("wheels.bag");
     rewritten(&recording, &with_wheels, |_, sweep| {
-        let odometry = odometry_of(&sweep, &|time| Some(told(poses.lookup(time)?)));
+        let odometry = odometry_of(&sweep, &|time| Some(reported(poses.lookup(time)?)));
         odometry.into_iter().chain([sweep]).collect()
     });
     map(&text(&with_wheels), folder.path(), &[]);
@@ -59,7 +59,7 @@ fn with_odometry(told: impl Fn(Rigid3) -> Rigid3) -> Option<(f64, String)> {
 }
 
 #[test]
-fn in_3d_wheels_that_are_never_read_are_not_believed() {
+fn in_3d_wheels_that_never_move_are_not_used() {
     let Some((error, report)) = with_odometry(|_| Rigid3::identity()) else { return };
     assert!(error <= 1.3 * 0.036, "{error} m");
     assert!(report.contains("odometry_overruled"), "{report}");
@@ -74,7 +74,8 @@ fn in_3d_wheels_of_another_size_are_corrected() {
     let Some((error, report)) = with_odometry(smaller) else { return };
     assert!(error <= 1.3 * 0.040, "{error} m");
     assert!(
-        report.contains("goes 0.90 times as far") || report.contains("goes 0.91 times as far"),
+        report.contains("measures 0.90 times the distance")
+            || report.contains("measures 0.91 times the distance"),
         "{report}"
     );
 }
@@ -130,6 +131,6 @@ fn satellite_fixes_never_make_a_map_worse() {
     assert!(exact < 0.05, "{exact} m");
     let reflected = error(&|scan| if (1000..1500).contains(&scan) { [3.0, -3.0] } else { [0.0; 2] });
     assert!(reflected < 0.05, "{reflected} m");
-    let of_another_way = error(&|scan| [0.1 * scan as f64, 0.0]);
-    assert!(of_another_way < 0.05, "{of_another_way} m");
+    let drifting = error(&|scan| [0.1 * scan as f64, 0.0]);
+    assert!(drifting < 0.05, "{drifting} m");
 }
