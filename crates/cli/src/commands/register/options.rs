@@ -240,7 +240,7 @@ pub struct GlobalMatchingArgs {
     /// 0.
     #[arg(long, value_name = "FILE", requires = "global")]
     pub links_file: Option<PathBuf>,
-/// With `overlap`: match scans with more point pairs than this.
+    /// With `overlap`: match scans with more point pairs than this.
     #[arg(long, value_name = "N", default_value_t = 400, requires = "global")]
     pub min_pairs: usize,
     /// With `distance`: match scans nearer than this, metres.
