@@ -5,11 +5,14 @@
 //! ```sh
 //! PORTOLAN_BODIES=seconds=60,seed=7 cargo test --profile quick -p portolan-fuzz-bodies -- --nocapture --test-threads 1
 //! ```
+//!
+//! With `PORTOLAN_BODIES=corpus=FOLDER` the sound files are written to `FOLDER/BODY`, a first corpus for libFuzzer.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
 mod samples;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
 use std::sync::Once;
 use std::time::{Duration, Instant};
 
@@ -39,12 +42,13 @@ struct Amount {
     seed: u64,
     cases: u64,
     at_most: Duration,
+    corpus: Option<PathBuf>,
 }
 
 impl Amount {
     /// What `PORTOLAN_BODIES` and `PORTOLAN_TESTS` say.
     fn of(body: &str) -> Self {
-        let mut amount = Self { seed: 1, cases: count(body), at_most: Duration::MAX };
+        let mut amount = Self { seed: 1, cases: count(body), at_most: Duration::MAX, corpus: None };
         if std::env::var("PORTOLAN_TESTS").is_ok_and(|tests| tests == "fast") {
             amount.cases /= FAST;
         }
@@ -55,7 +59,10 @@ impl Amount {
                 Some(("seconds", value)) => {
                     (amount.cases, amount.at_most) = (u64::MAX, Duration::from_secs(value.parse().unwrap()));
                 }
-                _ => panic!("PORTOLAN_BODIES knows seconds=NUMBER and seed=NUMBER, not {part}"),
+                Some(("corpus", value)) => amount.corpus = Some(PathBuf::from(value).join(body)),
+                _ => {
+                    panic!("PORTOLAN_BODIES knows seconds=NUMBER, seed=NUMBER and corpus=FOLDER, not {part}")
+                }
             }
         }
         amount
@@ -79,6 +86,13 @@ fn input(sample: &Sample, bytes: &[u8]) -> Vec<u8> {
     [&sample.prefix, bytes].concat()
 }
 
+fn write_corpus(folder: &Path, samples: &[Sample]) {
+    std::fs::create_dir_all(folder).unwrap();
+    for (number, sample) in samples.iter().enumerate() {
+        std::fs::write(folder.join(format!("sound_{number}")), input(sample, &sample.bytes)).unwrap();
+    }
+}
+
 fn run(name: &str) {
     let (_, body) = BODIES.iter().find(|(known, _)| *known == name).unwrap();
     let samples = samples_of(name);
@@ -88,6 +102,9 @@ fn run(name: &str) {
     samples.iter().for_each(|sample| body(&input(sample, &sample.bytes)));
     body(&[]);
     let (amount, mut cases) = (Amount::of(name), 0);
+    if let Some(folder) = &amount.corpus {
+        write_corpus(folder, &samples);
+    }
     while cases < amount.cases && start.elapsed() < amount.at_most {
         let number = cases;
         let mut random = Random::new(amount.seed, number);

@@ -4,6 +4,7 @@
 use nalgebra as na;
 use portolan_geometry::{Quaternion, Rigid3, angle_axis_from_quaternion, quaternion_from_angle_axis};
 
+use crate::drift_scale::DriftScale;
 use crate::settings::tracking::{
     DRIFT_METRES_BY_DISTANCE, DRIFT_METRES_BY_TIME, DRIFT_RADIANS_BY_DISTANCE, DRIFT_RADIANS_BY_TIME,
     DRIFT_RADIANS_BY_TURN, INDEPENDENT_METRES, INDEPENDENT_RADIANS, INDEPENDENT_SECONDS,
@@ -69,6 +70,7 @@ pub(crate) struct PoseEstimate {
     covariance: Matrix6,
     freedom: Freedom,
     map_error: MapError,
+    drift_scale: DriftScale,
     /// Fraction of an independent match that has become available by motion and time since the last match.
     fresh: f64,
 }
@@ -78,7 +80,7 @@ impl PoseEstimate {
     pub fn new(pose: Rigid3, freedom: Freedom, map_error: MapError, (metres, radians): (f64, f64)) -> Self {
         let diagonal = freedom.variances(metres * metres, radians * radians);
         let covariance = freedom.restricted(&Matrix6::from_diagonal(&diagonal));
-        Self { pose, covariance, freedom, map_error, fresh: 1.0 }
+        Self { pose, covariance, freedom, map_error, drift_scale: DriftScale::default(), fresh: 1.0 }
     }
 
     /// Another pose in the same map.
@@ -113,7 +115,8 @@ impl PoseEstimate {
         let angle = DRIFT_RADIANS_BY_DISTANCE.powi(2) * metres
             + DRIFT_RADIANS_BY_TURN.powi(2) * turn
             + DRIFT_RADIANS_BY_TIME.powi(2) * time;
-        let noise = Matrix6::from_diagonal(&self.freedom.variances(shift, angle));
+        let scale = self.drift_scale.factor();
+        let noise = Matrix6::from_diagonal(&self.freedom.variances(scale * shift, scale * angle));
         let covariance = transition * self.covariance * transition.transpose() + noise;
         self.covariance = self.freedom.restricted(&covariance);
         self.pose *= *motion;
@@ -129,6 +132,11 @@ impl PoseEstimate {
         let Some(weight) = (self.covariance() + of_match).try_inverse() else { return f64::INFINITY };
         let offset = offset(&self.pose, found);
         (offset.transpose() * weight * offset).x
+    }
+
+    /// Takes the squared Mahalanobis distance of a match into account for the drift from now on.
+    pub fn note_distance(&mut self, squared: f64) {
+        self.drift_scale.add(squared, self.freedom);
     }
 
     /// Updates with a match; directions without information stay unchanged.

@@ -108,7 +108,9 @@ impl Hypothesis {
     /// Matches a scan near the prediction and updates the pose.
     pub fn match_scan<M: KnownMap>(&mut self, map: &M, scan: &M::Scan) {
         let found = map.find(scan, &self.belief.pose, self.window());
-        if self.belief.distance(&found.pose, &found.information) < GATE_SQUARED_SIGMAS {
+        let distance = self.belief.distance(&found.pose, &found.information);
+        self.belief.note_distance(distance);
+        if distance < GATE_SQUARED_SIGMAS {
             self.belief.update(&found.pose, &found.information);
         }
         // The estimated pose is judged, not the match that fits best.

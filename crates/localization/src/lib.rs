@@ -6,6 +6,7 @@ mod belief;
 mod change_regions;
 mod changes;
 mod distinctness;
+mod drift_scale;
 mod evidence;
 mod finder;
 mod growth;
