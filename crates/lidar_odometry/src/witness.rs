@@ -103,10 +103,11 @@ impl TravelWitness {
         self.seen.push_back(seen);
     }
 
-    /// Takes the degenerate translations of a sweep by planes, orthonormal, in the local map.
-    pub fn leaves_open(&mut self, end: Time, open: Vec<Vector3>) {
+    /// Takes the translations since `start` that a sweep leaves degenerate for planes, orthonormal, in the
+    /// local map.
+    pub fn leaves_open(&mut self, start: Time, open: Vec<Vector3>) {
         self.open_since = match open.iter().any(is_horizontal) {
-            true => self.open_since.or(Some(end)),
+            true => self.open_since.or(Some(start)),
             false => None,
         };
         self.open = open;
@@ -376,5 +377,17 @@ mod tests {
             })
             .collect();
         assert_eq!(guessed.iter().position(|guess| *guess), Some(21));
+    }
+
+    #[test]
+    fn a_long_gap_along_which_the_distance_is_degenerate_is_a_guess_at_once() {
+        let after_gap = |seconds: f64, open: Vector3| {
+            let mut witness = TravelWitness::new(&OdometrySettings::default());
+            witness.leaves_open(time(1.0), Vec::new());
+            witness.leaves_open(time(1.0), vec![open]);
+            witness.is_guess(time(1.0 + seconds))
+        };
+        assert!(after_gap(4.0, Vector3::x()));
+        assert!(!after_gap(4.0, Vector3::z()) && !after_gap(0.1, Vector3::x()));
     }
 }

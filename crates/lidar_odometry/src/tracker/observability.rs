@@ -1,6 +1,6 @@
 //! Determines which directions of motion a sweep constrains, and what replaces the others.
 
-use portolan_geometry::{Time, Vector3};
+use portolan_geometry::{Duration, Time, Vector3};
 use portolan_motion::{DegenerateDirections, DegenerateScan, Observability, Substitute};
 
 use super::Tracker;
@@ -20,8 +20,8 @@ impl Tracker {
     ) -> Observability {
         let Registered { segment, registered, .. } = best;
         let tracking_from_local = registered.local_from_tracking.rotation.inverse();
-        self.witness.leaves_open(end, registered.open_translations());
         let (up, seconds) = (tracking_from_local * Vector3::z(), segment.seconds());
+        self.witness.leaves_open(end - Duration::from_seconds(seconds), registered.open_translations());
         // Where the motion is unmeasured, its direction is unknown, too.
         let translation_is_measured = segment.source.is_measured();
         let found = registered.found.as_ref();
