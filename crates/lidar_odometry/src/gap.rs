@@ -2,13 +2,16 @@
 //!
 //! The longer a gap is, the less certain is constant velocity. As at the start of a trajectory, the first
 //! two sweeps after it determine the velocity then, with several hypotheses where that is ambiguous.
-//! Between the velocity before the gap and that after it a constant acceleration is assumed. Sweeps after
-//! the gap are tracked with each hypothesis, and the one under which they fit the map best is accepted.
+//! Between the velocity before the gap and that after it a constant acceleration is assumed. A platform that
+//! brakes and accelerates again comes elsewhere, so that other places are proposed by correlation with the
+//! last sweep before the gap. Sweeps after the gap are tracked with each hypothesis, and the one under which
+//! they fit the map best is accepted.
 
 use portolan_geometry::{
     Duration, Quaternion, Rigid3, Time, Vector3, angle_axis_from_quaternion, quaternion_from_angle_axis,
 };
 
+use crate::correlation::{Peak, Window};
 use crate::hypotheses::{self, Other};
 use crate::initialise::{FirstSweeps, RotationAt, Start};
 use crate::issues::Issues;
@@ -17,6 +20,7 @@ use crate::settings::OdometrySettings;
 use crate::settings::constants::initialise::VELOCITY_INTERVAL;
 use crate::sweep::Sweep;
 use crate::tracker::{RegisteredSweep, Tracker};
+use crate::wide_search::correlated;
 
 /// Velocities in the tracking frame.
 #[derive(Clone, Copy, Debug)]
@@ -27,11 +31,15 @@ pub(crate) struct Velocities {
     pub angular: Vector3,
 }
 
-/// Hypothesis of the motion in a gap: constant acceleration.
+/// Hypothesis of the motion in a gap: constant acceleration, which ends at another pose if accelerations
+/// changed.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct GapMotion {
     before: Velocities,
     pub after: Velocities,
+    /// Pose at the end relative to that by constant acceleration: position along the axes of the local
+    /// map, metres, and heading, radians.
+    elsewhere: (Vector3, f64),
 }
 
 /// Treatment of the next sweep.
@@ -64,8 +72,12 @@ pub(crate) fn next_sweep(
         return NextSweep::Waits;
     }
     let before = Velocities::at_start_of(&prediction.segment);
-    let after = Velocities::after(tracker, settings, sweeps).into_iter();
-    let motions = after.chain([before]).map(|after| GapMotion { before, after }).collect();
+    let after = Velocities::after(tracker, settings, sweeps).into_iter().chain([before]);
+    let mut motions: Vec<GapMotion> =
+        after.map(|after| GapMotion { before, after, elsewhere: (Vector3::zeros(), 0.0) }).collect();
+    if let Some(likeliest) = motions.first().copied() {
+        motions.extend(likeliest.elsewhere(tracker, settings, first, &prediction.segment));
+    }
     best(tracker, settings, &sweeps[..sweeps.len().min(judges)], motions)
 }
 
@@ -130,6 +142,35 @@ impl Velocities {
 }
 
 impl GapMotion {
+    /// The same velocities at both ends of the gap, with other accelerations between them: as correlation
+    /// with the last sweep proposes.
+    fn elsewhere(
+        self,
+        tracker: &Tracker,
+        settings: &OdometrySettings,
+        first: &Sweep,
+        predicted: &TrajectorySegment,
+    ) -> Vec<Self> {
+        let OdometrySettings { correlation, motion_prior, .. } = settings;
+        let segment = self.applied_to(predicted);
+        // Accelerating and braking for half of the gap each.
+        let farthest = motion_prior.acceleration * (0.5 * segment.seconds()).powi(2);
+        let linear = farthest.min(correlation.farthest);
+        // Registration finds what is nearer.
+        if linear < 2.0 * f64::from(correlation.cell) {
+            return Vec::new();
+        }
+        let angular = if segment.rotation_is_measured() { 0.0 } else { correlation.widest };
+        let window = Window { linear, angular };
+        let headings = std::iter::once(0.0);
+        let peaks = correlated(tracker.last_fitting(), first, &segment, window, headings, correlation);
+        let at = |peak: Peak| {
+            let heading = angle_axis_from_quaternion(&peak.pose.rotation).z;
+            Self { elsewhere: (peak.pose.translation.vector, heading), ..self }
+        };
+        peaks.into_iter().map(at).collect()
+    }
+
     /// A predicted segment with this motion; its rotation, too, unless a gyroscope measured it. Only the
     /// heading changes, since a platform that rolls and pitches comes back.
     pub fn applied_to(&self, predicted: &TrajectorySegment) -> TrajectorySegment {
@@ -149,7 +190,44 @@ impl GapMotion {
             };
             place += rotation.slerp(&next, 0.5) * now.linear * step;
             (rotation, before) = (next, seconds);
-            *pose = Rigid3::from_parts(place.into(), rotation);
+            // As smooth as the velocities at both ends are known.
+            let fraction = (seconds / whole).min(1.0);
+            let share = fraction * fraction * (3.0 - 2.0 * fraction);
+            let (shift, heading) = (self.elsewhere.0 * share, self.elsewhere.1 * share);
+            let turn = quaternion_from_angle_axis(&(Vector3::z() * heading));
+            *pose = Rigid3::from_parts((place + shift).into(), turn * rotation);
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A gap of two seconds along x, from 5 m/s to 9 m/s.
+    fn through_gap(elsewhere: (Vector3, f64)) -> TrajectorySegment {
+        let at = |seconds: f64| Time::from_ticks(0) + Duration::from_seconds(seconds);
+        let velocity = |x: f64| Velocities { linear: Vector3::x() * x, angular: Vector3::zeros() };
+        let predicted = TrajectorySegment::new(at(0.0), at(2.0), |t| {
+            Rigid3::translation(5.0 * t.seconds_since(at(0.0)), 0.0, 0.0)
+        });
+        GapMotion { before: velocity(5.0), after: velocity(9.0), elsewhere }.applied_to(&predicted)
+    }
+
+    #[test]
+    fn velocity_changes_evenly_between_both_ends_of_a_gap() {
+        let end = through_gap((Vector3::zeros(), 0.0)).end();
+        assert!((end.translation.vector - Vector3::new(14.0, 0.0, 0.0)).norm() < 0.01, "{end}");
+    }
+
+    #[test]
+    fn a_gap_may_end_elsewhere_with_the_velocities_that_are_known() {
+        let segment = through_gap((Vector3::new(-3.0, 1.0, 0.0), 0.2));
+        let end = segment.end();
+        assert!((end.translation.vector - Vector3::new(11.0, 1.0, 0.0)).norm() < 0.01, "{end}");
+        assert!((end.rotation.angle() - 0.2).abs() < 1e-9, "{end}");
+        let (first, seconds) = segment.first_motion();
+        let velocity = first.translation.vector / seconds;
+        assert!((velocity - Vector3::new(5.0, 0.0, 0.0)).norm() < 0.5, "{velocity}");
     }
 }

@@ -176,6 +176,11 @@ impl Tracker {
         Self { memory: Memory::default(), ..self.clone() }
     }
 
+    /// Points of the last sweep that fitted, in the local map.
+    pub fn last_fitting(&self) -> &[Point3f] {
+        &self.last_fitting
+    }
+
     /// Total fit of sweeps by the points that constrain the motion, if they are tracked from here; the
     /// first of them after the motion `gap`, if given. None, as soon as that is certain, if they do not
     /// fit better than `least`. Passes each sweep to `each`.

@@ -11,9 +11,38 @@ use crate::correlation::{CorrelationReference, Peak, Window, upright};
 use crate::hypotheses::{self, Other};
 use crate::predict::{Prediction, Reason, Registered};
 use crate::segment::{SegmentCorrection, TrajectorySegment};
-use crate::settings::OdometrySettings;
+use crate::settings::{CorrelationSettings, OdometrySettings};
 use crate::sweep::Sweep;
 use crate::sweep_registration::{SweepRegistration, Target};
+
+/// Poses at the end of a sweep relative to the end of its predicted segment (position along the axes of the
+/// local map, rotation about its vertical), by correlation with the points of a sweep before it (in the local
+/// map): the likeliest first. `headings` are initial ones relative to the predicted heading, radians.
+pub(crate) fn correlated(
+    before: &[Point3f],
+    sweep: &Sweep,
+    segment: &TrajectorySegment,
+    window: Window,
+    headings: impl Iterator<Item = f64>,
+    settings: &CorrelationSettings,
+) -> Vec<Peak> {
+    let end = segment.end();
+    let to_end = segment.deskewing(&SegmentCorrection::default());
+    // Both relative to the scanner, and level.
+    let (level, here) =
+        (to_f32(&Rigid3::from_parts(Default::default(), end.rotation)), end.translation.vector.cast());
+    let before: Vec<Point3f> = before.iter().map(|p| p - here).collect();
+    let now: Vec<Point3f> = sweep.points.iter().map(|p| level * to_end.moved(&p.position, p.time)).collect();
+    let before = CorrelationReference::new(&upright(&before, settings), settings);
+    let peaks = headings.flat_map(|heading| {
+        let turn = quaternion_from_angle_axis(&(Vector3::z() * heading));
+        before.peaks(&now, &Rigid3::from_parts(Default::default(), turn), window)
+    });
+    let mut peaks: Vec<Peak> = peaks.collect();
+    peaks.sort_by(|a, b| b.share.total_cmp(&a.share));
+    peaks.truncate(settings.max_peaks);
+    peaks
+}
 
 /// Inputs of a wide search.
 pub(crate) struct WideSearch<'a> {
@@ -29,19 +58,13 @@ impl WideSearch<'_> {
     /// The hypothesis under which the sweep fits best, if its fit is not poor: the one that was
     /// registered, or another.
     pub fn best(&self, sweep: &Sweep, prediction: &Prediction, first: Registered) -> Registered {
-        let (segment, settings) = (&prediction.segment, &self.settings.correlation);
+        let segment = &prediction.segment;
         let end = segment.end();
-        let to_end = segment.deskewing(&SegmentCorrection::default());
-        // Both relative to the scanner, and level.
-        let (level, here) =
-            (to_f32(&Rigid3::from_parts(Default::default(), end.rotation)), end.translation.vector.cast());
-        let before: Vec<Point3f> = self.before.iter().map(|p| p - here).collect();
-        let now: Vec<Point3f> =
-            sweep.points.iter().map(|p| level * to_end.moved(&p.position, p.time)).collect();
-        let before = CorrelationReference::new(&upright(&before, settings), settings);
+        let window = self.window(segment);
+        let headings = self.headings(segment.rotation_is_measured());
         let sample = self.registration.sample(sweep);
-        let mut peaks = self.peaks(&before, &now, segment);
-        peaks.truncate(settings.max_peaks);
+        let settings = &self.settings.correlation;
+        let peaks = correlated(self.before, sweep, segment, window, headings, settings);
         let register = |peak: Peak| {
             let place = end.translation.vector + peak.pose.translation.vector;
             let end = Rigid3::from_parts(place.into(), peak.pose.rotation * end.rotation);
@@ -63,24 +86,11 @@ impl WideSearch<'_> {
         hypotheses::best(first, others, Registered::fit, |peak, _| Some(register(peak)).filter(is_possible))
     }
 
-    /// Poses of the sweep relative to the prediction, by correlation, the likeliest first.
-    fn peaks(
-        &self,
-        before: &CorrelationReference<'_>,
-        now: &[Point3f],
-        segment: &TrajectorySegment,
-    ) -> Vec<Peak> {
+    fn window(&self, segment: &TrajectorySegment) -> Window {
         let settings = &self.settings.correlation;
         let is_measured = segment.rotation_is_measured();
         let linear = Window::after(segment.seconds(), is_measured, settings).linear;
-        let window = Window { linear, angular: if is_measured { 0.0 } else { settings.widest } };
-        let peaks = self.headings(is_measured).flat_map(|heading| {
-            let turn = quaternion_from_angle_axis(&(Vector3::z() * heading));
-            before.peaks(now, &Rigid3::from_parts(Default::default(), turn), window)
-        });
-        let mut peaks: Vec<Peak> = peaks.collect();
-        peaks.sort_by(|a, b| b.share.total_cmp(&a.share));
-        peaks
+        Window { linear, angular: if is_measured { 0.0 } else { settings.widest } }
     }
 
     /// Initial headings relative to the predicted one, radians: small ones first.
