@@ -49,7 +49,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_created_folders_that_stayed_empty_are_removed() {
+    fn only_created_empty_folders_are_removed() {
         let here = tempfile::tempdir().unwrap();
         let at = |name: &str| here.path().join(name);
         fs::create_dir(at("a")).unwrap();

@@ -36,7 +36,7 @@ fn like_a_recording(bytes: usize) -> Vec<u8> {
 }
 
 #[test]
-fn texts_of_all_lengths_and_kinds_come_back() {
+fn texts_of_all_lengths_and_kinds_round_trip() {
     let mut unpacker = Unpacker::default();
     let lengths = (0..40).chain([255, 256, 257, 1023, 1024, 1025, 9000, 99_990, 250_000]);
     for length in lengths {
@@ -55,7 +55,7 @@ fn texts_of_all_lengths_and_kinds_come_back() {
 }
 
 #[test]
-fn blocks_of_the_largest_size_and_streams_in_a_row_come_back() {
+fn largest_blocks_and_concatenated_streams_round_trip() {
     let text = like_a_recording(2_000_000);
     let streams = [pack(&text, 9), pack(&[], 9), pack(&text[..70_000], 5)].concat();
     let (data, result) = unpack(&streams);
@@ -74,7 +74,7 @@ fn the_limit_is_kept() {
 }
 
 #[test]
-fn what_is_no_bzip2_or_cut_off_is_an_error() {
+fn other_or_truncated_data_is_an_error() {
     let text = like_a_recording(300_000);
     let packed = pack(&text, 1);
     for cut in (0..60).chain([1000, packed.len() / 2, packed.len() - 1]) {
@@ -112,13 +112,13 @@ proptest! {
     }
 
     #[test]
-    fn noise_is_never_more_than_an_error(noise in prop::collection::vec(any::<u8>(), 0..600)) {
+    fn random_bytes_are_at_most_an_error(noise in prop::collection::vec(any::<u8>(), 0..600)) {
         let packed = [b"BZh9\x31\x41\x59\x26\x53\x59".as_slice(), &noise].concat();
         prop_assert!(unpack(&packed).1.is_err());
     }
 
     #[test]
-    fn what_was_unpacked_before_does_not_matter(
+    fn output_does_not_depend_on_earlier_data(
         at in 0usize..20_000, turned in 0u8..8, length in 1usize..20_000,
     ) {
         let mut packed = pack(&like_a_recording(length), 1);

@@ -7,7 +7,7 @@ use portolan_pointcloud::{CloudError, CloudReader};
 
 use crate::error::CliError;
 use crate::output::counted;
-use crate::progress::say;
+use crate::progress::print_line;
 
 /// Reads a cloud of any format, or a folder of uos scans, thinned if it has more than `limit` points. Repairs are
 /// reported on stderr.
@@ -34,10 +34,10 @@ pub fn read_cloud_from(
 fn reported(cloud: Result<ReadCloud, CloudError>, path: &Path, quiet: bool) -> Result<ReadCloud, CliError> {
     let cloud = cloud.map_err(|error| CliError::Failed(error.to_string()))?;
     for issue in cloud.issues.iter().filter(|_| !quiet) {
-        say(&format!("{}: {} ({})", path.display(), issue, counted(issue.count, "time", "times")));
+        print_line(&format!("{}: {} ({})", path.display(), issue, counted(issue.count, "time", "times")));
     }
     if cloud.not_finite > 0 && !quiet {
-        say(&format!(
+        print_line(&format!(
             "{}: {} with coordinates that are not numbers were left out",
             path.display(),
             counted(cloud.not_finite, "point", "points")

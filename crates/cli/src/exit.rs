@@ -30,7 +30,7 @@ impl ExitStatus {
         the input, constraints between pieces of a map, or poses of a recording in a known map); 4 ran to its end, \
         but nothing of the result can be trusted (clouds that do not overlap, a recording that was not localised in \
         a known map, a start that scans contradict, a refinement that was rejected, a map that is not finite); \
-        130 interrupted; 141 the reader of the output has closed the pipe.";
+        130 interrupted; 141 broken pipe (the output was closed by its reader).";
 }
 
 impl From<ExitStatus> for ExitCode {

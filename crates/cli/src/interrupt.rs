@@ -4,7 +4,7 @@
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use crate::exit::ExitStatus;
-use crate::progress::say;
+use crate::progress::print_line;
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 static SAVING: AtomicUsize = AtomicUsize::new(0);
@@ -20,7 +20,7 @@ pub fn watch(quiet: bool) {
         if !quiet {
             // On another thread: a blocked stderr must not delay the handling of the next signal.
             std::thread::spawn(|| {
-                say("stopping: the results so far are saved; interrupt once more to stop at once")
+                print_line("stopping: the results so far are saved; interrupt once more to stop at once")
             });
         }
     });

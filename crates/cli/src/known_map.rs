@@ -63,11 +63,11 @@ pub fn sentence(found: &Localisation) -> String {
             ),
             None => format!("found in the known map after {seconds:.0} s: {closures} with it, {fits}"),
         },
-        Place::Doubtful if !found.agreement.is_known() => format!(
+        Place::Uncertain if !found.agreement.is_known() => format!(
             "perhaps NOT where it belongs in the known map: {closures} with it, and only {places} places that it contains; look at \
              map.png"
         ),
-        Place::Doubtful => format!(
+        Place::Uncertain => format!(
             "perhaps NOT where it belongs in the known map: {fits}. Either much has changed there, or it is another place that looks \
              alike; look at map.png"
         ),

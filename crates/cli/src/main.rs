@@ -137,7 +137,7 @@ fn report(error: &CliError) {
         }
         source = cause.source();
     }
-    progress::say(&text);
+    progress::print_line(&text);
 }
 
 fn start_logging(global: &GlobalArgs) {

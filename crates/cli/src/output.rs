@@ -11,7 +11,7 @@ pub use portolan_numeric::counted;
 use portolan_pbstream::Finding;
 
 use crate::error::{CliError, Outcome};
-use crate::progress::say;
+use crate::progress::print_line;
 
 /// Prints a result; a line feed is appended unless it ends with one.
 ///
@@ -47,7 +47,7 @@ pub fn outcome_of_map(output: &Path, damage: &[Finding]) -> Outcome {
     let Some(first) = damage.first() else { return Outcome::Done };
     let count: u64 = damage.iter().map(|finding| finding.count).sum();
     let more = if count > 1 { format!(" (and {} more)", count - 1) } else { String::new() };
-    say(&format!(
+    print_line(&format!(
         "{}: has the same damage as the map it was made from: {first}{more}; `portolan repair` removes damaged parts",
         output.display()
     ));
@@ -59,7 +59,7 @@ pub fn outcome_of_map(output: &Path, damage: &[Finding]) -> Outcome {
 pub fn print_summary(text: &str) {
     match print(text) {
         Err(CliError::Output(error)) if error.kind() != std::io::ErrorKind::BrokenPipe => {
-            say(&format!("the summary cannot be written to the standard output: {error}"));
+            print_line(&format!("the summary cannot be written to the standard output: {error}"));
         }
         _ => {}
     }

@@ -54,7 +54,7 @@ impl Progress {
         } else if self.lines && self.last_line.elapsed() >= LINE_INTERVAL {
             self.last_line = Instant::now();
             let percent = (100 * position).checked_div(total).unwrap_or(0);
-            say(&format!("{} {percent}% {message}", self.title));
+            print_line(&format!("{} {percent}% {message}", self.title));
         }
     }
 
@@ -67,6 +67,6 @@ impl Progress {
 }
 
 /// Prints a line on stderr. Errors are ignored, because a closed or full stderr must not end the program.
-pub fn say(line: &str) {
+pub fn print_line(line: &str) {
     let _ = std::io::stderr().lock().write_all(format!("{}\n", without_control(line)).as_bytes());
 }

@@ -84,7 +84,7 @@ fn maps_are_checked() {
     std::fs::write(&damaged, bytes).unwrap();
     let run = portolan_with_code(1, &["check", &damaged]);
     assert!(run.stdout.contains("error: message") && run.stderr.contains("found"), "{}", run.stdout);
-    assert!(run.stdout.contains("repair: keeps the records that are whole"), "{}", run.stdout);
+    assert!(run.stdout.contains("repair: keeps the complete records"), "{}", run.stdout);
     let run = portolan_with_code(3, &["info", &damaged]);
     assert!(run.stdout.contains("lost: message 1") && run.stdout.contains(" at byte "), "{}", run.stdout);
 }

@@ -348,7 +348,7 @@ fn scans_that_cannot_be_registered_are_named() {
     let millimetres = file("mm.xyz", &millimetres);
     let run = portolan_with_code(4, &["register", &a, &millimetres]);
     assert!(run.stderr.contains("of one unit?") && run.stderr.contains("--scale"), "{}", run.stderr);
-    // One scan of elsewhere among others is a loss, and is told.
+    // One scan of elsewhere among others is a loss, and is reported.
     let elsewhere =
         write_cloud(&folder.path().join("far.xyz"), &room(500, 0.0), &Rigid3::translation(300.0, 0.0, 0.0));
     let run = portolan_with_code(3, &["register", &a, &elsewhere, &b, "--metascan", "--max-distance", "0.3"]);

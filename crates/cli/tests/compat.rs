@@ -1,4 +1,4 @@
-//! A recording on the way through the programs of Cartographer: mapped, written, compared.
+//! A recording processed by the programs of Cartographer: mapped, written, compared.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use crate::common;
@@ -45,7 +45,7 @@ return {
 "#;
 
 #[test]
-fn a_recording_goes_through_the_programs_of_the_reference() {
+fn a_recording_is_processed_by_the_programs_of_the_reference() {
     let folder = tempfile::tempdir().unwrap();
     let bag = simulated(folder.path(), "walk.bag", &[]);
     let at = |name: &str| text(&folder.path().join(name));

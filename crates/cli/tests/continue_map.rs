@@ -54,7 +54,7 @@ fn museum_walk() -> Walk {
 }
 
 impl Walk {
-    fn go_on(&self, name: &str, more: &[&str]) -> std::path::PathBuf {
+    fn continue_map(&self, name: &str, more: &[&str]) -> std::path::PathBuf {
         let output = self.folder.path().join(name);
         let out = text(&output);
         let mut arguments = vec!["map", &self.recording, "-o", &out, "-q", "--skip", self.continued];
@@ -81,7 +81,7 @@ impl Walk {
         offsets.into_iter().fold(0.0, f64::max)
     }
 
-    /// Largest error of both trajectories together, metres: large if the second lies elsewhere in the map
+    /// Largest error of both trajectories together, metres: large if the second is elsewhere in the map
     /// than the first.
     fn error_of_both(&self, output: &Path) -> f64 {
         let read = |path: &Path| std::fs::read_to_string(path).unwrap();
@@ -110,12 +110,12 @@ fn report(output: &Path) -> serde_json::Value {
 }
 
 #[test]
-fn a_recording_is_found_in_a_frozen_map_that_stays_as_it_was() {
+fn a_recording_is_found_in_a_frozen_map_without_changing_it() {
     if is_fast() {
         return;
     }
     let walk = walk();
-    let output = walk.go_on("frozen", &["--frozen"]);
+    let output = walk.continue_map("frozen", &["--frozen"]);
     let known = &report(&output)["known_map"];
     assert!(known["loop_closures"].as_u64().unwrap() > 3, "{known}");
     assert!(walk.error_of_both(&output) < 0.3, "{}", walk.error_of_both(&output));
@@ -133,13 +133,13 @@ fn a_map_in_3d_is_continued_on_its_surfaces() {
         return;
     }
     let walk = museum_walk();
-    let output = walk.go_on("frozen", &["--frozen", "--no-xray", "--duration", "10"]);
+    let output = walk.continue_map("frozen", &["--frozen", "--no-xray", "--duration", "10"]);
     let known = &report(&output)["known_map"];
     assert!(known["loop_closures"].as_u64().unwrap() > 3, "{known}");
     assert!(walk.farthest_from_known(&output) < 0.1);
     // Once more from where somebody is already walking and no IMU is at rest.
     let walking = Walk { continued: "9", ..walk };
-    let output = walking.go_on("walking", &["--frozen", "--no-xray", "--duration", "8"]);
+    let output = walking.continue_map("walking", &["--frozen", "--no-xray", "--duration", "8"]);
     let known = &report(&output)["known_map"];
     assert!(known["placed_after_seconds"].as_f64().unwrap() < 5.0, "{known}");
     assert!(walking.farthest_from_known(&output) < 0.1, "{}", walking.farthest_from_known(&output));
@@ -152,7 +152,7 @@ fn a_trajectory_outlives_the_submaps_that_localisation_trims() {
     }
     let walk = walk();
     let keep_two = ["--frozen", "--set", "pure_localization_trimmer.max_submaps_to_keep=2"];
-    let output = walk.go_on("trimmed", &[&keep_two[..], &["--all-poses"]].concat());
+    let output = walk.continue_map("trimmed", &[&keep_two[..], &["--all-poses"]].concat());
     let known = &report(&output)["known_map"];
     assert!(known["loop_closures"].as_u64().unwrap() > 3, "{known}");
     assert!(known["first_found_after_seconds"].as_f64().unwrap() < 10.0, "{known}");
@@ -161,7 +161,7 @@ fn a_trajectory_outlives_the_submaps_that_localisation_trims() {
         let poses = std::fs::read_to_string(walk.folder.path().join(folder).join(file)).unwrap();
         poses.lines().filter(|l| !l.starts_with('#')).count()
     };
-    walk.go_on("kept", &["--frozen", "--all-poses"]);
+    walk.continue_map("kept", &["--frozen", "--all-poses"]);
     for file in ["trajectory.tum", "all_poses.tum"] {
         assert_eq!(poses("trimmed", file), poses("kept", file), "{file}");
     }
@@ -181,7 +181,7 @@ fn optimising_a_map_in_3d_again_changes_it_little() {
     let done: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
     // With the weights of Cartographer instead of those that the map was made with it is several centimetres.
     assert!(done["largest_move"].as_f64().unwrap() < 0.005, "{done}");
-    // What was written tells how it was made, too.
+    // The written file also contains the settings it was made with.
     let run = portolan_with_code(0, &["optimize", &again, "-o", &again, "--json"]);
     let done: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
     assert!(done["largest_move"].as_f64().unwrap() < 0.005, "{done}");
@@ -193,7 +193,7 @@ fn a_map_is_extended_and_optimised_as_a_whole() {
         return;
     }
     let walk = walk();
-    let output = walk.go_on("extended", &[]);
+    let output = walk.continue_map("extended", &[]);
     assert!(walk.error_of_both(&output) < 0.3, "{}", walk.error_of_both(&output));
     let map = text(&output.join("map.pbstream"));
     portolan_with_code(0, &["check", &map]);

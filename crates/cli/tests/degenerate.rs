@@ -84,11 +84,11 @@ fn in_a_field_heading_is_degenerate_too_and_satellites_help() {
 }
 
 #[test]
-fn rings_on_the_grass_do_not_make_a_moving_scanner_stand() {
+fn rings_on_the_grass_do_not_stop_the_estimate_of_a_moving_scanner() {
     if is_fast() {
         return;
     }
-    // With so many beams the hits in a voxel make planes that look down: they seemed to tell that it stands.
+    // With so many beams the hits in a voxel make planes that look down: they seemed to show that it stands.
     let scene = ["field", "--seconds", "30", "--beams", "450", "--seed", "1"];
     let report = mapped_of(&scene, &["--no-odometry", "--duration", "10"]).report;
     for motion in ["along_travel", "across_travel", "heading"] {
@@ -119,8 +119,8 @@ fn a_walk_among_trees_without_imu_and_wheels_is_tracked() {
     if is_fast() {
         return;
     }
-    // Rings on the ground held this scanner where it was, to a tenth of its way; trunks tell how it goes. Seeds 1 to 8
-    // gave 0.013 to 0.057 m.
+    // Rings on the ground held this scanner where it was, to a tenth of its path; trunks show its motion.
+    // Seeds 1 to 8 gave 0.013 to 0.057 m.
     let map = mapped_of(&["park", "--seconds", "10", "--seed", "4"], &["--no-imu", "--no-odometry"]);
     assert_as_measured(&map, 0.0436);
 }
@@ -134,7 +134,7 @@ fn wheels_do_not_flatten_ramps() {
 }
 
 #[test]
-fn among_cars_nothing_is_degenerate_and_a_short_stay_is_level() {
+fn among_cars_no_direction_is_degenerate_and_the_first_pose_is_level() {
     if is_fast() {
         return;
     }

@@ -207,7 +207,7 @@ fn table_rows(text: &str) -> Vec<&str> {
 }
 
 #[test]
-fn the_page_of_benchmarks_stays_short_and_says_what_is_real() {
+fn the_page_of_benchmarks_is_short_and_marks_real_data() {
     let text = std::fs::read_to_string(repository().join("BENCHMARKS.md")).unwrap();
     let rows = table_rows(&text);
     assert!((1..=40).contains(&rows.len()), "{} rows", rows.len());

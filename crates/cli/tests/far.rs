@@ -237,7 +237,7 @@ fn places_of_a_map_in_utm_are_examined() {
 }
 
 #[test]
-fn nothing_is_moved_off_the_earth() {
+fn moves_off_the_earth_are_refused() {
     let place = Place::office();
     for by in ["1e9,0", "0,-1e15"] {
         let out = text(&place.path("off.pbstream"));

@@ -78,7 +78,7 @@ fn faults_of_sensors_are_survived_and_named() {
     }
 }
 
-/// An IMU that contradicts the lidar: the map need not be good, but `check` tells why.
+/// An IMU that contradicts the lidar: the map need not be good, but `check` reports the reason.
 #[test]
 fn imus_that_contradict_the_lidar_are_named() {
     if is_fast() {

@@ -33,7 +33,8 @@ impl Place {
     }
 }
 
-/// Puts a file in the way of a verb; it must refuse at once, leave everything as it was, and go on with --force.
+/// Puts a foreign file into the folder of a verb: it must refuse at once, change nothing, and continue with
+/// --force.
 fn refuses(folder: &Path, name: &str, arguments: &[&str]) {
     let path = folder.join(name);
     fs::create_dir_all(folder).unwrap();
@@ -52,7 +53,7 @@ fn refuses(folder: &Path, name: &str, arguments: &[&str]) {
 }
 
 #[test]
-fn mapping_localising_and_rendering_overwrite_nothing_foreign() {
+fn mapping_localising_and_rendering_keep_foreign_files() {
     let place = Place::new();
     let output = text(&place.output());
     refuses(&place.output(), "map.png", &["map", &place.recording, "-o", &output, "-q"]);
@@ -68,7 +69,7 @@ fn mapping_localising_and_rendering_overwrite_nothing_foreign() {
 }
 
 #[test]
-fn refining_and_registering_overwrite_nothing_foreign() {
+fn refining_and_registering_keep_foreign_files() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| text(&folder.path().join(name));
     let garage = ["garage", "--seconds", "3", "--seed", "5", "--beams", "300"];
@@ -149,7 +150,7 @@ fn a_map_is_not_saved_under_the_name_of_another_result() {
 }
 
 #[test]
-fn edits_that_leave_nothing_name_the_option() {
+fn edits_that_leave_an_empty_map_name_the_option() {
     let place = Place::new();
     place.map(0, &["-q"]);
     let (map, out) =
@@ -191,7 +192,7 @@ fn a_folder_that_takes_no_files_is_refused_before_the_work() {
     let place = Place::new();
     place.map(0, &["-q"]);
     let map = text(&place.output().join("map.pbstream"));
-    // Where nobody can make a file, whoever they are.
+    // A folder in which no user can create a file.
     for output in ["/proc/sys", "/proc/sys/results"] {
         for verb in [vec!["map", &place.recording], vec!["localize", &map, &place.recording]] {
             let run = portolan_with_code(1, &[&verb[..], &["-o", output]].concat());

@@ -115,13 +115,13 @@ fn on_real(file: &str, verb: &[&str], code: i32, processor_seconds: f64, megabyt
 }
 
 #[test]
-fn a_clock_that_is_set_while_recording_takes_no_time() {
+fn a_clock_set_while_recording_takes_no_time() {
     on_real("D1_ntp.bag", &["check", "FILE"], 0, 0.05, 13.0);
     on_real("D1_ntp.bag", &["map", "FILE", "-o", "OUT"], 0, 0.9, 72.0);
 }
 
 #[test]
-fn a_database_whose_rows_do_not_end_is_read_once() {
+fn a_database_with_endless_rows_is_read_once() {
     for file in ["D2_min.db3", "D2b_hang.db3"] {
         on_real(file, &["info", "FILE"], 3, 0.06, 14.0);
         on_real(file, &["check", "FILE"], 1, 0.2, 14.0);
@@ -136,7 +136,7 @@ fn countless_attributes_are_refused() {
 }
 
 #[test]
-fn a_chunk_that_says_it_is_large_takes_what_it_holds() {
+fn a_chunk_with_a_false_size_takes_memory_for_its_content_only() {
     on_real("D10_chunk.bag", &["info", "FILE"], 3, 0.1, 81.0);
     on_real("D10_chunk.bag", &["check", "FILE"], 1, 0.1, 81.0);
 }
@@ -157,7 +157,7 @@ fn before_setting(message: &mut RecordedMessage, start: Time) {
 }
 
 #[test]
-fn a_clock_that_is_set_from_1970_to_now_takes_no_time() {
+fn a_clock_set_from_1970_to_now_takes_no_time() {
     let folder = tempfile::tempdir().unwrap();
     let whole = open(simulated(folder.path(), "walk.bag", &[])).unwrap();
     let path = folder.path().join("set.bag");

@@ -107,7 +107,7 @@ fn damaged_recordings_end_in_a_map_or_an_error() {
 }
 
 #[test]
-fn an_output_folder_that_cannot_be_is_an_error_before_mapping() {
+fn an_impossible_output_folder_is_an_error_before_mapping() {
     let folder = tempfile::tempdir().unwrap();
     let recording = simulated(folder.path(), "walk.bag", &[]);
     let file = folder.path().join("file");
@@ -118,7 +118,7 @@ fn an_output_folder_that_cannot_be_is_an_error_before_mapping() {
 }
 
 #[test]
-fn a_cloud_that_cannot_be_written_is_an_error_before_mapping() {
+fn an_unwritable_cloud_is_an_error_before_mapping() {
     let folder = tempfile::tempdir().unwrap();
     let recording = simulated(folder.path(), "walk.bag", &[]);
     let (file, output) = (folder.path().join("file"), text(&folder.path().join("results")));
@@ -160,14 +160,14 @@ fn the_reason_for_no_usable_scan_is_named() {
 }
 
 #[test]
-fn a_recording_that_is_not_there_is_named() {
+fn a_missing_recording_is_named() {
     let run = portolan_with_code(1, &["map", "nowhere.bag", "-o", "unused"]);
     assert!(run.stderr.contains("nowhere.bag"), "{}", run.stderr);
 }
 
 #[cfg(unix)]
 #[test]
-fn an_interrupt_saves_what_was_mapped() {
+fn an_interrupt_saves_the_partial_map() {
     let Some(aces) = real("lidar2d/aces/aces.bag") else { return };
     let folder = tempfile::tempdir().unwrap();
     let output = text(folder.path());
@@ -215,7 +215,7 @@ fn the_demo_in_2d_is_accurate() {
 }
 
 #[test]
-fn the_demo_leaves_a_recording_its_map_and_pictures() {
+fn the_demo_writes_a_recording_its_map_and_pictures() {
     if is_fast() {
         return;
     }

@@ -1,4 +1,4 @@
-//! Inputs through pipes, and outputs that nobody reads or that are full.
+//! Inputs through pipes, and outputs that are closed or full.
 #![cfg(unix)]
 #![allow(clippy::unwrap_used)]
 
@@ -200,8 +200,8 @@ fn left_in(folder: &Path) -> Vec<String> {
     left
 }
 
-/// Runs the program and tells it to stop after some milliseconds. It must end with 130, or be done before; nothing
-/// temporary may be left.
+/// Runs the program and interrupts it after some milliseconds. It must end with 130, or be done before;
+/// nothing temporary may be left.
 fn stopped(folder: &Path, arguments: &[&str], milliseconds: u64, signals: usize) -> Option<i32> {
     let temporary = folder.join("temporary");
     std::fs::create_dir_all(&temporary).unwrap();

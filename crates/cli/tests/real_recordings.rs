@@ -150,7 +150,8 @@ fn read(path: &str) -> Trajectory {
     read_tum(std::io::BufReader::new(std::fs::File::open(path).unwrap())).unwrap().0
 }
 
-/// Truth and estimate of a drive. `lever`: where the lidar lies, seen from what the truth follows, metres.
+/// Truth and estimate of a drive. `lever`: position of the lidar relative to the reference point of the
+/// truth, metres.
 fn drive(name: &str, lever: [f64; 3]) -> Option<(Trajectory, Trajectory)> {
     let recording = real(&format!("lidar3d/{name}.bag"))?;
     let truth = read(&real(&format!("lidar3d/{name}.truth.tum"))?);
@@ -181,7 +182,7 @@ fn real_drives_are_followed() {
     let Some((truth, estimate)) = drive("kitti_0001", [0.81, -0.32, 0.80]) else { return };
     let error = error_of(&truth, &estimate);
     assert!(error <= 1.3 * 0.034, "{error} m");
-    // 52 sweeps through a bend against wheels and INS. The way by the wheels is 1.5 % too short: see
+    // 52 sweeps through a bend against wheels and INS. The path by the wheels is 1.5 % too short: see
     // docs/experiments/2026-11-skew.md. Without that the shape is judged.
     let Some((truth, estimate)) = drive("kitti_0005", [0.0; 3]) else { return };
     let error = error_of(&truth, &estimate);
@@ -231,7 +232,8 @@ fn scans_of_a_few_beams_are_weighed_with_odometry() {
     assert!(metres <= 1.3 * 0.189, "{metres} m");
 }
 
-/// Odometry that sees the way but not the turns of some seconds, in scans that are one to three metres apart.
+/// Odometry that measures the translation but not the rotation during some seconds, in scans that are one to
+/// three metres apart.
 #[test]
 fn turns_that_odometry_misses_are_found_in_sparse_scans() {
     let Some(recording) = real("lidar2d/orebro/orebro.clf.bz2") else { return };
@@ -265,7 +267,7 @@ fn turns_that_odometry_misses_are_found_in_sparse_scans() {
 
 /// Stamps come in bursts from the first second on.
 #[test]
-fn a_log_whose_stamps_come_in_bursts_loses_nothing_at_its_beginning() {
+fn a_log_with_bursts_of_stamps_keeps_its_first_scans() {
     let Some(recording) = real("lidar2d/intel/intel.clf.bz2") else { return };
     let folder = tempfile::tempdir().unwrap();
     for more in [&["--duration", "90"][..], &["--duration", "90", "--no-odometry"]] {
@@ -289,7 +291,7 @@ fn looking_down(mut message: RecordedMessage, degrees: f32) -> RecordedMessage {
     message
 }
 
-/// What stands upright tells the first motion, and which way is up is not known from the mounting of a lidar.
+/// Upright structures show the first motion; the vertical is not known from the mounting of a lidar.
 #[test]
 fn a_start_at_speed_is_found_by_a_lidar_that_looks_down() {
     let Some(recording) = real("lidar3d/kitti_0001.bag") else { return };
@@ -306,7 +308,7 @@ fn a_start_at_speed_is_found_by_a_lidar_that_looks_down() {
 
 /// Recordings put together may have every message twice.
 #[test]
-fn sweeps_that_come_twice_change_nothing() {
+fn duplicate_sweeps_do_not_change_the_map() {
     let Some(recording) = real("lidar3d/kitti_0001.bag") else { return };
     let folder = tempfile::tempdir().unwrap();
     let (twice, of_once, of_twice) =
@@ -418,8 +420,8 @@ fn a_spinning_lidar_is_mapped_in_3d() {
         let errors = trajectory_errors(&text(&folder.path().join("trajectory.tum")), &truth);
         errors["absolute"]["translation"]["rmse"].as_f64().unwrap()
     };
-    // Cartographer: 0.102 m with the IMU; it cannot do without. The lidar, which is followed without the IMU, lies
-    // 0.25 m from what the truth follows. Measured: 0.0035 m and 0.030 m.
+    // Cartographer: 0.102 m with the IMU; it cannot do without. The lidar, which is followed without the IMU,
+    // is 0.25 m from what the truth follows. Measured: 0.0035 m and 0.030 m.
     let (with_imu, without) = (run(&[]), run(&["--no-imu"]));
     assert!(with_imu <= 0.0046 && without <= 0.039, "{with_imu} m, without IMU {without} m");
 }

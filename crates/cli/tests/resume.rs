@@ -89,7 +89,7 @@ fn a_map_in_3d_that_is_resumed_is_the_same() {
 }
 
 #[test]
-fn journals_of_other_jobs_are_refused_and_every_verb_knows_what_they_are() {
+fn journals_of_other_jobs_are_refused_and_every_verb_recognises_journals() {
     let recording = corridors("5");
     let (folder, journal) = cut_off(&recording, &[]);
     let (output, file) = (text(folder.path()), text(&journal));
@@ -104,10 +104,10 @@ fn journals_of_other_jobs_are_refused_and_every_verb_knows_what_they_are() {
     let empty = tempfile::tempdir().unwrap();
     refused(&["map", &recording, "-o", &text(empty.path()), "--resume"], "there is no run to resume");
     for verb in ["info", "check"] {
-        refused(&[verb, &file], "--resume goes on with it");
+        refused(&[verb, &file], "--resume continues it");
     }
     let repaired = text(&empty.path().join("x.pbstream"));
-    refused(&["repair", &file, "-o", &repaired], "--resume goes on with it");
+    refused(&["repair", &file, "-o", &repaired], "--resume continues it");
     let anew = portolan(&["map", &recording, "-o", &output, "--duration", "20"]);
     assert!(anew.stderr.contains("--resume would go on with it"), "{}", anew.stderr);
 }

@@ -21,7 +21,7 @@ fn mapped(scene: &[&str], settings: &[&str]) -> (serde_json::Value, f64) {
 }
 
 #[test]
-fn wheels_and_satellites_tie_a_map_outdoors() {
+fn wheels_and_satellites_constrain_a_map_outdoors() {
     if is_fast() {
         return;
     }

@@ -33,7 +33,7 @@ fn the_same_options_give_the_same_bytes() {
 }
 
 #[test]
-fn wrong_usage_is_refused_and_leaves_nothing() {
+fn wrong_usage_is_refused_and_leaves_no_files() {
     let folder = tempfile::tempdir().unwrap();
     let output = common::text(&folder.path().join("x.bag"));
     let wrong: [&[&str]; 6] = [

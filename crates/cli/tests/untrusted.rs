@@ -21,7 +21,7 @@ fn mapped(recording: &str, folder: &Path, more: &[&str]) -> (Run, std::path::Pat
 }
 
 #[test]
-fn another_building_is_not_laid_over_the_known_one() {
+fn another_building_is_not_placed_in_the_known_map() {
     let folder = tempfile::tempdir().unwrap();
     let (here, _) = office("1");
     let (elsewhere, _) = office("2");
@@ -36,7 +36,7 @@ fn another_building_is_not_laid_over_the_known_one() {
     let left: Vec<_> = left.filter(|name| name != portolan::job::MANIFEST).collect();
     assert!(output.join("trajectory.tum").exists() && output.join("report.json").exists(), "{left:?}");
     assert_eq!(left.len(), 2, "{left:?}");
-    // Whoever wants it all the same gets it, and is told.
+    // With --force the result is written, with a warning.
     let (run, output) = mapped(&elsewhere, folder.path(), &[&from[..], &["--force"]].concat());
     assert_eq!(run.code, Some(4), "{} {}", run.stdout, run.stderr);
     assert!(output.join("map.pbstream").exists());
@@ -121,7 +121,7 @@ fn a_merged_map_is_found_or_refused() {
     merge(&maps[1], &["--place", "0,0,0", "--place", "0,0,0"], 2);
 }
 
-/// The walls of a room with a corner cut off, so that it fits itself one way only, metres.
+/// The walls of a room with a corner cut off, so that it fits itself in one pose only, metres.
 fn room(width: f64, depth: f64, height: f64) -> Vec<[f64; 3]> {
     let random = |i: u32, k: f64| (f64::from(i) * k).fract();
     (0..12_000)

@@ -35,8 +35,8 @@ fn wrong_text_is_named_by_its_kind_too() {
     let out = |name: &str| at(name);
     for (content, kind) in [
         ("", "an empty file"),
-        ("<?xml version=\"1.0\"?><robot name=\"a\"/>", "a robot description (URDF) goes with --urdf"),
-        ("-- Copyright\nreturn {}\n", "a configuration goes with --config"),
+        ("<?xml version=\"1.0\"?><robot name=\"a\"/>", "a robot description (URDF) is given with --urdf"),
+        ("-- Copyright\nreturn {}\n", "a configuration is given with --config"),
         ("{\"a\": 1}\n", "JSON"),
         ("image: map.pgm\nresolution: 0.05\n", "the description of an image map (YAML)"),
         (std::str::from_utf8(&[0; 4096]).unwrap(), "a file that begins with zeros"),

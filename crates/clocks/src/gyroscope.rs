@@ -48,7 +48,7 @@ impl Gyroscope {
     }
 
     /// Root mean square of the rates, rad/s.
-    pub fn usual_rate(&self) -> f64 {
+    pub fn rms_rate(&self) -> f64 {
         let squares: f64 = self.samples.iter().map(|sample| sample.rate.norm_squared()).sum();
         (squares / self.samples.len().max(1) as f64).sqrt()
     }
@@ -86,7 +86,7 @@ mod tests {
     use portolan_geometry::Duration;
 
     #[test]
-    fn turns_are_those_of_the_rates_and_unknown_across_gaps() {
+    fn rotations_integrate_the_rates_and_are_unknown_across_gaps() {
         let at = |seconds: f64| Time::UNIX_EPOCH + Duration::from_seconds(seconds);
         let mut gyroscope = Gyroscope::default();
         for i in (0..400).filter(|i| !(200..230).contains(i)) {

@@ -170,14 +170,14 @@ fn mounting_of(unknowns: &Unknowns) -> Vector3 {
 /// Fraction of the rotations that is left unexplained (of root mean squares, weighted).
 fn share_left(equations: &[Equations], unknowns: &Unknowns, limit: f64) -> f64 {
     // With the matrix zero, the rotations of the gyroscope vanish.
-    let mut nothing_shown = Unknowns::zeros();
+    let mut without_rotation = Unknowns::zeros();
     for axis in 0..3 {
-        nothing_shown[4 + 4 * axis] = -1.0;
+        without_rotation[4 + 4 * axis] = -1.0;
     }
     let squares = |of: &Unknowns| -> f64 {
         equations.iter().map(|e| weight(e, unknowns, limit) * e.left(of).norm_squared()).sum()
     };
-    (squares(unknowns) / squares(&nothing_shown)).sqrt()
+    (squares(unknowns) / squares(&without_rotation)).sqrt()
 }
 
 /// Rotations from each sweep to the first one that is long enough after it. Those at rest are left out: they

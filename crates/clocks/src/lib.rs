@@ -48,12 +48,12 @@ pub fn measure(
     options: &IngestOptions,
     progress: &mut dyn FnMut(u64),
 ) -> ImuComparison {
-    let mut measured = |look| measure_scaled(recording, inventory, options, look, progress);
-    let as_planned = measured(Look { scale: 1.0, most_sweeps: MAX_SWEEPS, is_exact: false });
-    if as_planned.comparison.mounting.is_some() || as_planned.turns_alike && as_planned.usual_rate < FAST {
+    let mut measured = |pass| measure_scaled(recording, inventory, options, pass, progress);
+    let as_planned = measured(Pass { scale: 1.0, most_sweeps: MAX_SWEEPS, is_exact: false });
+    if as_planned.comparison.mounting.is_some() || as_planned.turns_alike && as_planned.rms_rate < FAST {
         return as_planned.comparison;
     }
-    let exactly = |scale| Look { scale, most_sweeps: SWEEPS_FOR_UNITS, is_exact: true };
+    let exactly = |scale| Pass { scale, most_sweeps: SWEEPS_FOR_UNITS, is_exact: true };
     if as_planned.turns_alike && measured(exactly(1.0)).turns_alike {
         return as_planned.comparison;
     }
@@ -73,12 +73,12 @@ struct Measured {
     /// Whether it certainly rotates like all lidars.
     turns_alike: bool,
     /// Root mean square of its rates, rad/s.
-    usual_rate: f64,
+    rms_rate: f64,
 }
 
 /// How sweeps and gyroscope are used.
 #[derive(Clone, Copy)]
-struct Look {
+struct Pass {
     /// Factor for the rates of the gyroscope.
     scale: f64,
     most_sweeps: usize,
@@ -90,7 +90,7 @@ fn measure_scaled(
     recording: &dyn Recording,
     inventory: &Inventory,
     options: &IngestOptions,
-    Look { scale, most_sweeps, is_exact }: Look,
+    Pass { scale, most_sweeps, is_exact }: Pass,
     progress: &mut dyn FnMut(u64),
 ) -> Measured {
     let Ok(Some((mut clocks, mut ingestion))) = Clocks::new(recording, inventory, options) else {
@@ -121,7 +121,7 @@ pub fn common_offset(offsets: &[ClockOffset]) -> Option<ClockOffset> {
 }
 
 /// Smallest misalignment that is corrected, radians: sensors are mounted with an error of a degree or two,
-/// and objects that move beside the lidar look like its rotation.
+/// and objects that move beside the lidar pass like its rotation.
 const LEAST_MISALIGNMENT: f64 = 0.035;
 /// Number of standard deviations that a corrected misalignment has to exceed.
 const SURE_SIGMAS: f64 = 6.0;
@@ -130,11 +130,11 @@ const SAME_MISALIGNMENT: f64 = 0.02;
 
 /// The misalignment of the IMU on which all lidars agree, if it is certain; each with its standard
 /// deviation.
-fn common_misalignment(told: &[(Vector3, f64)]) -> Option<(Vector3, f64)> {
-    let (rotation, sigma) = *told.iter().min_by(|a, b| a.1.total_cmp(&b.1))?;
+fn common_misalignment(misalignments: &[(Vector3, f64)]) -> Option<(Vector3, f64)> {
+    let (rotation, sigma) = *misalignments.iter().min_by(|a, b| a.1.total_cmp(&b.1))?;
     let is_sure = rotation.norm() > LEAST_MISALIGNMENT.max(SURE_SIGMAS * sigma);
     let agrees = |other: &(Vector3, f64)| (other.0 - rotation).norm() < SAME_MISALIGNMENT;
-    (is_sure && told.iter().all(agrees)).then_some((rotation, sigma))
+    (is_sure && misalignments.iter().all(agrees)).then_some((rotation, sigma))
 }
 
 /// All sensors while the recording is read.
@@ -237,8 +237,8 @@ impl Clocks {
             ImuMisalignment { imu, rotation, sigma }
         });
         let comparison = ImuComparison { offsets, mounting, misalignment };
-        let usual_rate = self.gyroscope.usual_rate();
-        Measured { comparison, imu: Some(imu.source.topic.clone()), turns_alike, usual_rate }
+        let rms_rate = self.gyroscope.rms_rate();
+        Measured { comparison, imu: Some(imu.source.topic.clone()), turns_alike, rms_rate }
     }
 }
 
@@ -273,11 +273,11 @@ mod tests {
     }
 
     #[test]
-    fn a_misalignment_is_corrected_where_all_lidars_say_so() {
-        let degrees = |told: &[(f64, f64)]| {
-            let told: Vec<(Vector3, f64)> =
-                told.iter().map(|(d, s)| (Vector3::x() * d.to_radians(), s.to_radians())).collect();
-            common_misalignment(&told).map(|(rotation, _)| rotation.norm().to_degrees().round())
+    fn a_misalignment_is_corrected_where_all_lidars_agree() {
+        let degrees = |misalignments: &[(f64, f64)]| {
+            let misalignments: Vec<(Vector3, f64)> =
+                misalignments.iter().map(|(d, s)| (Vector3::x() * d.to_radians(), s.to_radians())).collect();
+            common_misalignment(&misalignments).map(|(rotation, _)| rotation.norm().to_degrees().round())
         };
         assert_eq!(degrees(&[(10.0, 0.6)]), Some(10.0));
         assert_eq!(degrees(&[(9.5, 0.9), (10.0, 0.6)]), Some(10.0));
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn the_imu_is_moved_where_all_lidars_say_so() {
+    fn the_clock_of_the_imu_is_shifted_where_all_lidars_agree() {
         let seconds = |offsets: &[ClockOffset]| common_offset(offsets).map(|offset| offset.seconds);
         assert_eq!(seconds(&[offset(-0.045, 0.001)]), Some(-0.045));
         assert_eq!(seconds(&[offset(-0.041, 0.002), offset(-0.045, 0.001)]), Some(-0.045));

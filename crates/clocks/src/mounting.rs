@@ -33,13 +33,13 @@ pub(super) fn find_mounting(turns: &[SweepTurn], gyroscope: &Gyroscope) -> Optio
     let best = fits(turns, gyroscope)
         .reduce(|best, fit| if fit.turned.left < best.turned.left { fit } else { best })?;
     let simple = best.simple();
-    let explains = best.as_said > LEFT && simple.left < LEFT_OTHERWISE;
+    let explains = best.as_assumed > LEFT && simple.left < LEFT_OTHERWISE;
     explains.then_some((simple.turned, simple.factor))
 }
 
 /// Whether the gyroscope certainly rotates like sweeps.
 pub(super) fn turns_alike(turns: &[SweepTurn], gyroscope: &Gyroscope) -> bool {
-    fits(turns, gyroscope).any(|fit| fit.as_said < LEFT_OTHERWISE)
+    fits(turns, gyroscope).any(|fit| fit.as_assumed < LEFT_OTHERWISE)
 }
 
 fn fits(turns: &[SweepTurn], gyroscope: &Gyroscope) -> impl Iterator<Item = Fit> {
@@ -47,9 +47,9 @@ fn fits(turns: &[SweepTurn], gyroscope: &Gyroscope) -> impl Iterator<Item = Fit>
     lags.filter_map(move |lag| Fit::of(turns, gyroscope, lag))
 }
 
-/// One way of fitting the rotations of the gyroscope to those of sweeps.
+/// One fit of the rotations of the gyroscope to those of sweeps.
 #[derive(Clone, Copy)]
-struct Way {
+struct Explanation {
     /// Angle between the axes of the IMU and those of the transforms, radians.
     turned: f64,
     /// Ratio of its rotation to that of sweeps.
@@ -61,9 +61,9 @@ struct Way {
 /// Fits at one lag.
 struct Fit {
     /// Fraction that is left unexplained with the assumed axes and units.
-    as_said: f64,
-    scaled: Way,
-    turned: Way,
+    as_assumed: f64,
+    scaled: Explanation,
+    turned: Explanation,
 }
 
 /// Rotations measured by sweeps and by the gyroscope in the same time.
@@ -100,7 +100,7 @@ impl Fit {
         }
         let share = |squares: f64| (squares.max(0.0) / of_sweeps).sqrt();
         // Least squares of s·b against a leave |a|² − common²/|b|², at s = common/|b|².
-        let way = |turned: f64, common: f64| Way {
+        let explanation = |turned: f64, common: f64| Explanation {
             turned,
             factor: of_gyroscope / common,
             left: share(of_sweeps - common * common / of_gyroscope),
@@ -111,9 +111,9 @@ impl Fit {
         let rotation = u * proper * v_t;
         let angle = (0.5 * (rotation.trace() - 1.0)).clamp(-1.0, 1.0).acos();
         let fit = Self {
-            as_said: share(of_sweeps + of_gyroscope - 2.0 * product.trace()),
-            scaled: way(0.0, product.trace()),
-            turned: way(angle, (proper * Matrix3::from_diagonal(&svd.singular_values)).trace()),
+            as_assumed: share(of_sweeps + of_gyroscope - 2.0 * product.trace()),
+            scaled: explanation(0.0, product.trace()),
+            turned: explanation(angle, (proper * Matrix3::from_diagonal(&svd.singular_values)).trace()),
         };
         let simple = fit.simple();
         let axes = if simple.turned > 0.0 { rotation } else { Matrix3::identity() };
@@ -121,7 +121,7 @@ impl Fit {
     }
 
     /// The simplest explanation.
-    fn simple(&self) -> Way {
+    fn simple(&self) -> Explanation {
         if self.scaled.left <= AS_GOOD * self.turned.left { self.scaled } else { self.turned }
     }
 }

@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_before_a_gap_is_no_part_of_the_next_sweep() {
+    fn points_before_a_gap_are_not_joined_to_the_next_sweep() {
         let mut gatherer = SweepGatherer::default();
         assert!(gatherer.add(message(1.0, 0.05, 50)).is_none());
         assert!(gatherer.add(message(5.0, 0.05, 50)).is_none());

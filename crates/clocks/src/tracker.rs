@@ -248,9 +248,9 @@ fn covariance_of_rotation(found: &RegistrationResult, translation_sigma: f64) ->
     let block = |i: usize, j: usize| information.fixed_view::<3, 3>(i, j).into_owned();
     let held = Matrix3::from_diagonal_element(1.0 / (translation_sigma * translation_sigma));
     let translation = (block(0, 0) + held).try_inverse()?;
-    let told = block(3, 3) - block(3, 0) * translation * block(0, 3)
+    let marginal = block(3, 3) - block(3, 0) * translation * block(0, 3)
         + Matrix3::from_diagonal_element(1.0 / (TURN_SIGMA * TURN_SIGMA));
-    let mut covariance = told.try_inverse()?;
+    let mut covariance = marginal.try_inverse()?;
     for axis in &found.degenerate.rotations {
         covariance += axis * axis.transpose() * (TURN_SIGMA * TURN_SIGMA);
     }

@@ -64,7 +64,7 @@ mod tests {
     }
 
     #[test]
-    fn files_choose_planes_unless_they_say_otherwise() {
+    fn files_choose_planes_by_default() {
         let of = |text: &str| Options::from_lua("robot.lua", text).unwrap().options;
         let robot = r#"include "map_builder.lua" include "trajectory_builder.lua"
             MAP_BUILDER.use_trajectory_builder_3d = true

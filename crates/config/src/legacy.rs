@@ -9,7 +9,7 @@ enum Now {
     /// It moved, and a switch became a number of sensors.
     Count(&'static str),
     /// It has no meaning any more, with the reason.
-    Gone(&'static str),
+    Removed(&'static str),
 }
 
 const LOCAL_2D: &str = "trajectory_builder.trajectory_builder_2d";
@@ -29,16 +29,24 @@ const RULES: &[(&str, &str, Now)] = &[
     ("", "num_lasers_3d", Now::Moved("num_point_clouds")),
     ("map_builder", "sparse_pose_graph", Now::Moved("pose_graph")),
     (POSE_GRAPH, "optimize_every_n_scans", Now::Moved("optimize_every_n_nodes")),
-    (CONSTRAINTS, "adaptive_voxel_filter", Now::Gone("constraints are sought with the cloud of local SLAM")),
-    (CONSTRAINTS, "max_covariance_trace", Now::Gone("covariances are not used")),
-    (CONSTRAINTS, "lower_covariance_eigenvalue_bound", Now::Gone("covariances are not used")),
-    (PROBLEM, "log_residual_histograms", Now::Gone("it stands in pose_graph now")),
+    (
+        CONSTRAINTS,
+        "adaptive_voxel_filter",
+        Now::Removed("constraints are sought with the cloud of local SLAM"),
+    ),
+    (CONSTRAINTS, "max_covariance_trace", Now::Removed("covariances are not used")),
+    (CONSTRAINTS, "lower_covariance_eigenvalue_bound", Now::Removed("covariances are not used")),
+    (PROBLEM, "log_residual_histograms", Now::Removed("it stands in pose_graph now")),
     (
         PROBLEM,
         "consecutive_scan_translation_penalty_factor",
-        Now::Gone("see local_slam_pose_translation_weight"),
+        Now::Removed("see local_slam_pose_translation_weight"),
     ),
-    (PROBLEM, "consecutive_scan_rotation_penalty_factor", Now::Gone("see local_slam_pose_rotation_weight")),
+    (
+        PROBLEM,
+        "consecutive_scan_rotation_penalty_factor",
+        Now::Removed("see local_slam_pose_rotation_weight"),
+    ),
     (PROBLEM, "consecutive_node_translation_weight", Now::Moved("local_slam_pose_translation_weight")),
     (PROBLEM, "consecutive_node_rotation_weight", Now::Moved("local_slam_pose_rotation_weight")),
     (LOCAL_2D, "scans_per_accumulation", Now::Moved("num_accumulated_range_data")),
@@ -54,20 +62,20 @@ const RULES: &[(&str, &str, Now)] = &[
     (LOCAL_2D, "horizontal_laser_max_z", Now::Moved("max_z")),
     (LOCAL_2D, "horizontal_laser_missing_echo_ray_length", Now::Moved("missing_data_ray_length")),
     (LOCAL_2D, "horizontal_laser_voxel_filter_size", Now::Moved("voxel_filter_size")),
-    (LOCAL_2D, "num_odometry_states", Now::Gone("odometry enters the pose extrapolator")),
-    (LOCAL_2D, "max_time_between_updates", Now::Gone("see motion_filter")),
+    (LOCAL_2D, "num_odometry_states", Now::Removed("odometry enters the pose extrapolator")),
+    (LOCAL_2D, "max_time_between_updates", Now::Removed("see motion_filter")),
     (LOCAL_3D, "scans_per_accumulation", Now::Moved("num_accumulated_range_data")),
     (LOCAL_3D, "laser_min_range", Now::Moved("min_range")),
     (LOCAL_3D, "laser_max_range", Now::Moved("max_range")),
     (LOCAL_3D, "laser_voxel_filter_size", Now::Moved("voxel_filter_size")),
-    (LOCAL_3D, "num_odometry_states", Now::Gone("odometry enters the pose extrapolator")),
-    (LOCAL_3D, "kalman_local_trajectory_builder", Now::Gone("the builder with a Kalman filter is gone")),
-    (LOCAL_3D, "optimizing_local_trajectory_builder", Now::Gone("the optimising builder is gone")),
-    (LOCAL_3D, "use", Now::Gone("there is one builder only")),
+    (LOCAL_3D, "num_odometry_states", Now::Removed("odometry enters the pose extrapolator")),
+    (LOCAL_3D, "kalman_local_trajectory_builder", Now::Removed("the builder with a Kalman filter is gone")),
+    (LOCAL_3D, "optimizing_local_trajectory_builder", Now::Removed("the optimising builder is gone")),
+    (LOCAL_3D, "use", Now::Removed("there is one builder only")),
     (SUBMAPS_2D, "resolution", Now::Moved("grid_options_2d.resolution")),
     (SUBMAPS_2D, "num_laser_fans", Now::Moved("num_range_data")),
-    (SUBMAPS_2D, "half_map_size", Now::Gone("grids grow as needed")),
-    (SUBMAPS_2D, "output_debug_images", Now::Gone("submaps can be exported from the map")),
+    (SUBMAPS_2D, "half_map_size", Now::Removed("grids grow as needed")),
+    (SUBMAPS_2D, "output_debug_images", Now::Removed("submaps can be exported from the map")),
     (INSERTER_2D, "insert_free_space", Now::Moved("probability_grid_range_data_inserter.insert_free_space")),
     (INSERTER_2D, "hit_probability", Now::Moved("probability_grid_range_data_inserter.hit_probability")),
     (INSERTER_2D, "miss_probability", Now::Moved("probability_grid_range_data_inserter.miss_probability")),
@@ -86,7 +94,7 @@ pub(crate) fn modernise(root: &mut Table) -> Vec<OldKey> {
         let Some(table) = table_mut(root, path, false) else { continue };
         let Some(value) = table.entries.remove(*key) else { continue };
         let outcome = match now {
-            Now::Gone(reason) => format!("ignored, {reason}"),
+            Now::Removed(reason) => format!("ignored, {reason}"),
             Now::Moved(to) => place(table, to, value),
             Now::Count(to) => place(table, to, count(value)),
         };

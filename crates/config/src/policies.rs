@@ -6,41 +6,41 @@
 use crate::options::PortolanOptions;
 
 impl PortolanOptions {
-    fn goes_beyond_cartographer(&self) -> bool {
+    fn extends_cartographer(&self) -> bool {
         self.match_surfaces || self.loop_search_drift > 0.0
     }
 
     /// Whether biases of gyroscopes are estimated in the optimisation and subtracted.
     pub fn estimates_imu_biases(&self) -> bool {
-        self.goes_beyond_cartographer()
+        self.extends_cartographer()
     }
 
     /// Whether the estimated mounting of an IMU is kept close to the mounting given by the user.
     pub fn holds_imu_mounting(&self) -> bool {
-        self.goes_beyond_cartographer()
+        self.extends_cartographer()
     }
 
     /// Whether satellite fixes are weighted by their scatter about the trajectory, and left out where they
     /// contradict it.
     pub fn weighs_fixes_by_scatter(&self) -> bool {
-        self.goes_beyond_cartographer()
+        self.extends_cartographer()
     }
 
     /// Whether single satellite fixes with large errors have less weight.
     pub fn has_robust_fixes(&self) -> bool {
-        self.goes_beyond_cartographer()
+        self.extends_cartographer()
     }
 
     /// Whether the start is held approximately level if there are satellite fixes, but no IMU to measure the
     /// vertical.
     pub fn holds_start_level(&self) -> bool {
-        self.goes_beyond_cartographer()
+        self.extends_cartographer()
     }
 
     /// Whether a trajectory that is not connected to the rest of the map is searched in whole parts of the
     /// map at once.
     pub fn searches_whole_maps(&self) -> bool {
-        self.goes_beyond_cartographer()
+        self.extends_cartographer()
     }
 
     /// Whether trajectories that are not connected to the map are searched as soon as nodes are added;

@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn defaults_units_and_bounds_stand_in_the_rows() {
+    fn rows_contain_defaults_units_and_bounds() {
         let page = reference();
         assert!(page.contains("| `resolution` | number | `0.05` m | >= 0.001 |"), "{page}");
         assert!(page.contains("| `pure_localization_trimmer` | table | absent |"));

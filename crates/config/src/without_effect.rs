@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn every_entry_is_an_option_and_its_documentation_says_so() {
+    fn every_entry_is_an_option_with_documentation() {
         for (entry, reason) in WITHOUT_EFFECT {
             let meant = |path: &str| match entry.strip_prefix('*') {
                 Some(end) => path.ends_with(end),

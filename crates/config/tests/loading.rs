@@ -195,7 +195,7 @@ fn settings_win_over_the_file_and_the_file_over_defaults() {
     assert!(loader.load_text("robot.lua", &robot("options.num_multi_echo_laser_scans = 0")).is_ok());
 }
 
-/// Lines that give an option a value, making the tables on the way.
+/// Lines that give an option a value, creating the tables as needed.
 fn assignment(path: &str, value: &str) -> String {
     let mut lines = String::new();
     let mut table = "options".to_owned();

@@ -65,7 +65,7 @@ fn values_are_written_as_in_lua() {
 }
 
 #[test]
-fn tables_that_may_be_absent_come_and_go() {
+fn optional_tables_can_be_added_and_removed() {
     let mut options = set("pure_localization_trimmer.max_submaps_to_keep=4").unwrap();
     let keep = |options: &Options| {
         options
@@ -83,7 +83,7 @@ fn tables_that_may_be_absent_come_and_go() {
 }
 
 #[test]
-fn errors_say_what_to_do() {
+fn errors_give_advice() {
     assert_eq!(
         error("min_scor=1"),
         "unknown option `min_scor`; did you mean `map_builder.pose_graph.constraint_builder.min_score`?"
@@ -170,7 +170,7 @@ fn validate_finds_every_number_out_of_bounds() {
 }
 
 #[test]
-fn lua_and_json_lead_back_to_equal_options() {
+fn lua_and_json_round_trip_to_equal_options() {
     let mut options = Options::for_3d();
     for setting in [
         "pure_localization_trimmer.max_submaps_to_keep=5",
@@ -203,7 +203,7 @@ fn lua_and_json_lead_back_to_equal_options() {
 }
 
 #[test]
-fn json_may_be_partial_and_must_be_right() {
+fn json_may_be_partial_and_must_be_valid() {
     let text = r#"{ "map_builder": { "use_trajectory_builder_2d": true }, "num_laser_scans": 1 }"#;
     let config = Options::from_json(text).unwrap();
     assert_eq!((config.options, config.warnings.len()), (Options::for_2d(), 0));

@@ -46,7 +46,7 @@ fn every_robot_loads_without_warnings() {
 }
 
 #[test]
-fn the_files_and_the_defaults_say_the_same() {
+fn the_files_and_the_defaults_agree() {
     let names = ["map_builder.lua", "trajectory_builder.lua"];
     let defaults = Options::default();
     let map_builder = portolan_config::node::section_to_value(&defaults.map_builder);

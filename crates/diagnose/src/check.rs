@@ -199,9 +199,9 @@ impl<'a> Check<'a> {
                 severity: notice.severity,
                 topic: String::new(),
                 count: 1,
-                what: notice.what.clone(),
+                text: notice.text.clone(),
                 effect_on_slam: String::new(),
-                what_to_do: if notice.change.is_empty() {
+                advice: if notice.change.is_empty() {
                     String::new()
                 } else {
                     format!("nothing, or choose differently: {}", notice.change)
@@ -449,8 +449,8 @@ fn counted(kind: &Kind, issue: &Issue) -> Finding {
         severity: kind.severity,
         topic: String::new(),
         count: issue.count,
-        what: issue.to_string(),
+        text: issue.to_string(),
         effect_on_slam: kind.effect.to_owned(),
-        what_to_do: kind.to_do.to_owned(),
+        advice: kind.to_do.to_owned(),
     }
 }

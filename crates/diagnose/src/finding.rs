@@ -13,11 +13,13 @@ pub struct Finding {
     /// Number of occurrences.
     pub count: u64,
     /// Description, with the numbers of the first (or worst) case.
-    pub what: String,
+    #[serde(rename = "what")]
+    pub text: String,
     /// Its effect on mapping.
     pub effect_on_slam: String,
     /// Remedy.
-    pub what_to_do: String,
+    #[serde(rename = "what_to_do")]
+    pub advice: String,
 }
 
 /// A kind of finding: the parts that do not depend on the case.
@@ -42,7 +44,7 @@ pub(crate) struct Findings {
 
 impl Findings {
     /// Adds a finding; of several findings of a kind and topic the first text is kept.
-    pub fn add(&mut self, kind: &Kind, topic: &str, what: impl FnOnce() -> String) {
+    pub fn add(&mut self, kind: &Kind, topic: &str, text: impl FnOnce() -> String) {
         let key = (*kind, topic.to_owned());
         if let Some(finding) = self.index.get(&key).and_then(|i| self.list.get_mut(*i)) {
             finding.count += 1;
@@ -57,9 +59,9 @@ impl Findings {
             severity: kind.severity,
             topic: topic.to_owned(),
             count: 1,
-            what: what(),
+            text: text(),
             effect_on_slam: kind.effect.to_owned(),
-            what_to_do: kind.to_do.to_owned(),
+            advice: kind.to_do.to_owned(),
         });
     }
 
@@ -79,9 +81,9 @@ impl Findings {
                 severity: Severity::Warning,
                 topic: String::new(),
                 count: self.dropped,
-                what: "there are more findings than are listed".to_owned(),
+                text: "there are more findings than are listed".to_owned(),
                 effect_on_slam: "not known".to_owned(),
-                what_to_do: "solve those that are listed first".to_owned(),
+                advice: "solve those that are listed first".to_owned(),
             });
         }
         self.list.sort_by_key(|f| std::cmp::Reverse(f.severity));
@@ -95,8 +97,8 @@ impl Finding {
         let severity = self.severity.name();
         let about = if self.topic.is_empty() { String::new() } else { format!("{}: ", self.topic) };
         let times = if self.count > 1 { format!(" ({} times)", self.count) } else { String::new() };
-        let mut text = format!("{severity}: {about}{}{times}\n", self.what);
-        for (label, line) in [("effect", &self.effect_on_slam), ("to do", &self.what_to_do)] {
+        let mut text = format!("{severity}: {about}{}{times}\n", self.text);
+        for (label, line) in [("effect", &self.effect_on_slam), ("to do", &self.advice)] {
             if !line.is_empty() {
                 text.push_str(&format!("  {label}: {line}\n"));
             }
@@ -123,7 +125,7 @@ mod tests {
         findings.add(&note, "/scan", || "second".into());
         findings.add(&fault, "/imu", || "broken".into());
         let list = findings.finish();
-        assert_eq!((list[0].what.as_str(), list[1].what.as_str(), list[1].count), ("broken", "first", 2));
+        assert_eq!((list[0].text.as_str(), list[1].text.as_str(), list[1].count), ("broken", "first", 2));
         let text = findings_to_text(&list);
         assert_eq!(
             text,

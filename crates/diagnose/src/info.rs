@@ -268,7 +268,7 @@ impl RecordingInfo {
         for notice in &plan.notices {
             let change =
                 if notice.change.is_empty() { String::new() } else { format!(" [{}]", notice.change) };
-            let _ = writeln!(text, "  {}{change}", notice.what);
+            let _ = writeln!(text, "  {}{change}", notice.text);
         }
     }
 }

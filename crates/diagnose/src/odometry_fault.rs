@@ -1,5 +1,5 @@
-//! Detects odometry in other units or another frame than assumed: it rotates the other way, moves a hundred
-//! times as far, or sideways.
+//! Detects odometry in other units or another frame than assumed: it rotates in the opposite direction, moves
+//! a hundred times as far, or sideways.
 //!
 //! Over windows of a second, the motions of odometry, as complex numbers in the frame of the scanner, are
 //! fitted to those of scans by one complex factor (least squares). The length of the factor gives the units,

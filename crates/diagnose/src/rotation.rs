@@ -209,8 +209,8 @@ pub(crate) fn report_turns(first: (&str, &[Turn]), second: (&str, &[Turn]), find
         return;
     }
     let (a, b) = (first.0, second.0);
-    let mut add = |severity, what: String, effect: &str, to_do: &str| {
-        findings.push(finding(b, severity, what, effect, to_do));
+    let mut add = |severity, text: String, effect: &str, to_do: &str| {
+        findings.push(finding(b, severity, text, effect, to_do));
     };
     if correlation < -0.6 {
         add(
@@ -309,14 +309,14 @@ pub(super) fn misalignment_finding(imu: &str, misalignment: &ImuMisalignment) ->
     )
 }
 
-fn finding(topic: &str, severity: Severity, what: String, effect: &str, to_do: &str) -> Finding {
+fn finding(topic: &str, severity: Severity, text: String, effect: &str, to_do: &str) -> Finding {
     Finding {
         severity,
         topic: topic.to_owned(),
         count: 1,
-        what,
+        text,
         effect_on_slam: effect.to_owned(),
-        what_to_do: to_do.to_owned(),
+        advice: to_do.to_owned(),
     }
 }
 
@@ -354,7 +354,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_hole_of_decades_takes_no_longer_than_none() {
+    fn a_gap_of_decades_takes_no_longer_than_none() {
         let jump = portolan_geometry::Duration::from_seconds(1_780_000_000.0);
         let with_hole = |delay: f64| -> Vec<Turn> {
             let early = turns(delay, 1.0, 0.05);

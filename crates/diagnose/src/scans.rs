@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_missing_where_messages_come_twice() {
+    fn duplicate_messages_are_not_counted_as_missing() {
         assert_eq!(severities(&[(1.0, 2.0), (1.0, 2.0), (1.1, 2.1), (1.1, 2.1), (1.2, 2.2)]), []);
         // The readings before with a new stamp, and others with the stamp before.
         assert_eq!(severities(&[(1.0, 2.0), (1.1, 2.0), (1.2, 2.2)]), [Severity::Error]);

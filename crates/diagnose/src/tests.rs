@@ -20,7 +20,7 @@ fn robot(messages: impl IntoIterator<Item = RecordedMessage>) -> Vec<RecordedMes
 fn find<'a>(findings: &'a [Finding], part: &str) -> &'a Finding {
     findings
         .iter()
-        .find(|f| f.what.contains(part))
+        .find(|f| f.text.contains(part))
         .unwrap_or_else(|| panic!("{part}: {}", findings_to_text(findings)))
 }
 
@@ -41,7 +41,7 @@ fn scans(
 }
 
 #[test]
-fn a_good_recording_has_nothing_worth_a_warning() {
+fn a_good_recording_has_no_warnings() {
     let mut messages = robot(scans(100, |_, _| {}));
     messages.extend((0..500).map(|i| {
         let t = 0.01 * f64::from(i);
@@ -70,7 +70,7 @@ fn scans_outside_the_time_of_the_imu_are_an_error() {
     let found = find(&findings, "the only scan begins before /imu does, or ends after it");
     assert_eq!(found.severity, Severity::Error);
     let findings = checked(recording(0.03));
-    assert!(findings.iter().all(|f| !f.what.contains("the only scan")), "{}", findings_to_text(&findings));
+    assert!(findings.iter().all(|f| !f.text.contains("the only scan")), "{}", findings_to_text(&findings));
 }
 
 #[test]
@@ -91,7 +91,7 @@ fn clouds_in_millimetres_are_reported() {
     };
     let findings = clouds(1e3);
     assert_eq!(find(&findings, "in millimetres").count, 20);
-    assert!(clouds(1.0).iter().all(|f| !f.what.contains("millimetres")));
+    assert!(clouds(1.0).iter().all(|f| !f.text.contains("millimetres")));
 }
 
 #[test]
@@ -121,7 +121,7 @@ fn faults_of_stamps() {
     ] {
         assert_eq!(find(&findings, part).severity, severity, "{part}");
     }
-    let late = findings.iter().find(|f| f.topic == "/odom" && f.what.contains("differ by 0.700 s")).unwrap();
+    let late = findings.iter().find(|f| f.topic == "/odom" && f.text.contains("differ by 0.700 s")).unwrap();
     assert_eq!(late.severity, Severity::Error);
 }
 
@@ -181,7 +181,7 @@ fn faults_of_scans() {
 fn scans_without_any_return_are_an_error() {
     let is_error = |messages| {
         let findings = checked(robot(messages));
-        let found = findings.iter().find(|f| f.what.contains("there is not one scan with a point"));
+        let found = findings.iter().find(|f| f.text.contains("there is not one scan with a point"));
         found.is_some_and(|found| found.severity == Severity::Error)
     };
     for range in [f32::INFINITY, f32::NAN, 0.0] {
@@ -304,8 +304,8 @@ fn stamps_that_are_too_early_are_no_gaps() {
         messages.push(named("/imu", t, imu(stamp, [0.0, 0.0, 9.8])));
     }
     let findings = checked(messages);
-    assert_eq!(findings.iter().filter(|f| f.what.contains("not strictly increasing")).count(), 2);
-    assert!(findings.iter().all(|f| !f.what.contains("gap")), "{}", findings_to_text(&findings));
+    assert_eq!(findings.iter().filter(|f| f.text.contains("not strictly increasing")).count(), 2);
+    assert!(findings.iter().all(|f| !f.text.contains("gap")), "{}", findings_to_text(&findings));
 }
 
 /// Sweeps of 0.2 s that are recorded when they end, and transforms to a frame that is no robot's.
@@ -329,7 +329,7 @@ fn sweeps_recorded_at_their_end_are_not_late() {
     let text = findings_to_text(&findings);
     assert!(!text.contains("serialization time") && !text.contains("no transforms say"), "{text}");
     let found = find(&findings, "no frame of the recording has the usual name of a robot frame");
-    assert!(found.severity == Severity::Info && found.what_to_do.contains("imu_link"), "{text}");
+    assert!(found.severity == Severity::Info && found.advice.contains("imu_link"), "{text}");
 }
 
 #[test]
@@ -382,6 +382,6 @@ fn a_recording_is_described_in_text_and_json() {
     assert_eq!(json["messages"], 52);
     assert_eq!(json["frames"], serde_json::json!(["base_link", "imu_link", "laser", "odom"]));
     assert_eq!(json["plan"]["tracking_frame"], "base_link");
-    let nothing = info(&MemoryRecording::new(Vec::new()), &IngestOptions::default(), &mut |_| {}).unwrap();
-    assert!(nothing.to_text().contains("no messages at all"));
+    let empty = info(&MemoryRecording::new(Vec::new()), &IngestOptions::default(), &mut |_| {}).unwrap();
+    assert!(empty.to_text().contains("no messages at all"));
 }

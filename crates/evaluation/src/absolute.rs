@@ -46,7 +46,7 @@ pub fn absolute_errors(
     let truth_from_estimate = align(&pairs, alignment)?;
     let (translation, rotation): (Vec<f64>, Vec<f64>) =
         pairs.iter().map(|p| error_of(p, &truth_from_estimate, alignment)).unzip();
-    let nothing = || EvaluationError::EmptyTrajectory("associated");
+    let empty = || EvaluationError::EmptyTrajectory("associated");
     let covered = crate::trajectory::covered_distances(pairs.iter().map(|p| &p.truth));
     let t = truth_from_estimate.translation;
     let [qx, qy, qz, qw] = crate::quaternion_xyzw(&truth_from_estimate);
@@ -56,8 +56,8 @@ pub fn absolute_errors(
         truth_poses: truth.len(),
         alignment,
         truth_from_estimate: [t.x, t.y, t.z, qx, qy, qz, qw],
-        translation: ErrorStatistics::of(&translation).ok_or_else(nothing)?,
-        rotation_degrees: ErrorStatistics::of(&rotation).ok_or_else(nothing)?,
+        translation: ErrorStatistics::of(&translation).ok_or_else(empty)?,
+        rotation_degrees: ErrorStatistics::of(&rotation).ok_or_else(empty)?,
         path_length: covered.last().copied().unwrap_or(0.0),
     })
 }

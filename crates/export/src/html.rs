@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_from_outside_becomes_markup() {
+    fn external_text_is_escaped() {
         let mut page = HtmlPage::new("<script>");
         page.paragraph("a & b");
         page.table(&["", "x"], &[["\"quoted\"".to_owned(), "-1".to_owned()]]);

@@ -56,7 +56,7 @@ pub enum PictureError {
     Paint(#[from] PaintError),
     /// There are neither submaps nor trajectories.
     #[error("there is nothing to draw: no submap has a grid and no trajectory has a node")]
-    Nothing,
+    Empty,
     /// The maximum number of pixels along an edge is out of range.
     #[error("the largest edge must be 16 to {MAX_EDGE} pixels, not {0}")]
     MaxEdge(usize),
@@ -225,7 +225,7 @@ pub fn extent(content: &MapContent) -> Result<MapArea, PictureError> {
     });
     let points = content.trajectories.iter().flat_map(|t| t.points.iter().copied());
     let mut all = corners.chain(points).filter(|p| p.iter().all(|v| v.is_finite()));
-    let first = all.next().ok_or(PictureError::Nothing)?;
+    let first = all.next().ok_or(PictureError::Empty)?;
     let start = MapArea { min_x: first[0], max_x: first[0], min_y: first[1], max_y: first[1] };
     Ok(all.fold(start, |a, [x, y]| MapArea {
         min_x: a.min_x.min(x),

@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn plots_stay_within_their_frame() {
+    fn plots_are_within_their_frame() {
         let labels = PlotLabels { title: "a < b", x: "time, s", y: "shift, m" };
         let line =
             PlotLine { name: "x", colour: "#d62728", points: vec![[0.0, -1.0], [1.0, f64::NAN], [2.0, 3.0]] };

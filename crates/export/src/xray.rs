@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_are_bounded_whatever_is_asked_for() {
+    fn sizes_are_bounded_for_any_request() {
         for (to, resolution) in [([1e6, 10.0], 0.01), ([f64::NAN, f64::INFINITY], 0.1), ([0.0, 0.0], 0.0)] {
             let mut picture = XrayPicture::new([0.0, 0.0], to, resolution, 400, true);
             picture.add([f64::NAN, 1e300], 0.0);

@@ -63,7 +63,7 @@ fn compared(name: &str, bytes: Vec<u8>) -> Option<Vec<u8>> {
 
 // One test, because the disk is that of the whole process.
 #[test]
-fn a_failing_disk_leaves_whole_files_or_those_of_before() {
+fn a_failing_disk_leaves_new_or_previous_files_complete() {
     let faults = [Fault::Full, Fault::Broken, Fault::BrokenOnce];
     let operations = fail_everywhere(&faults, compared, write);
     assert!(operations >= 36, "{operations} operations");

@@ -105,7 +105,7 @@ fn trajectories_can_be_drawn_alone() {
 fn senseless_requests_are_errors() {
     let error = |content: &MapContent, options: PictureOptions| draw_map(content, &options).unwrap_err();
     let default = PictureOptions::default;
-    assert_eq!(error(&MapContent::default(), default()), PictureError::Nothing);
+    assert_eq!(error(&MapContent::default(), default()), PictureError::Empty);
     let lines = [TrajectoryLine { index: 0, points: vec![[0.0, 0.0], [1000.0, 0.0]] }];
     let content = MapContent { trajectories: &lines, ..MapContent::default() };
     assert_eq!(error(&content, PictureOptions { max_edge: 0, ..default() }), PictureError::MaxEdge(0));

@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn there_and_back() {
+    fn conversions_are_inverse() {
         for (latitude, longitude, altitude) in
             [(48.1, 11.6, 520.0), (-33.9, 151.2, 10.0), (0.0, 0.0, 0.0), (89.9, -45.0, 3.0)]
         {

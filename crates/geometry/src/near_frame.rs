@@ -86,13 +86,13 @@ mod tests {
     use super::*;
     use crate::{rotation_from_roll_pitch_yaw, to_f32};
 
-    fn way(origin: Vector3) -> impl Iterator<Item = Vector3> {
+    fn path(origin: Vector3) -> impl Iterator<Item = Vector3> {
         (0..300).map(move |i| origin + Vector3::new(0.7, 0.3, 0.01) * f64::from(i))
     }
 
     #[test]
-    fn near_the_origin_it_is_the_frame_of_the_map() {
-        assert_eq!(NearFrame::around(way(Vector3::new(-3000.0, 900.0, 300.0))), NearFrame::default());
+    fn near_the_origin_the_frame_equals_that_of_the_map() {
+        assert_eq!(NearFrame::around(path(Vector3::new(-3000.0, 900.0, 300.0))), NearFrame::default());
         assert_eq!(NearFrame::around([]), NearFrame::default());
         let pose = Rigid3::translation(0.1, -0.0, 1e-17);
         let bits = |pose: &Rigid3| pose.translation.vector.map(f64::to_bits);
@@ -101,12 +101,12 @@ mod tests {
     }
 
     #[test]
-    fn what_is_far_is_near_in_it_and_keeps_its_bits() {
+    fn distant_poses_are_near_the_origin_and_keep_their_bits() {
         let utm = Vector3::new(512_345.678_9, 5_412_345.678_9, 312.345_6);
-        let frame = NearFrame::around(way(utm));
+        let frame = NearFrame::around(path(utm));
         assert_eq!(frame.origin().map(|v| v % STEP), Vector3::zeros());
         assert_eq!(frame.origin().z, 0.0, "300 m are near");
-        for place in way(utm) {
+        for place in path(utm) {
             let pose = Rigid3::from_parts(place.into(), rotation_from_roll_pitch_yaw(0.1, -0.2, 2.9));
             let near = frame.near(&pose);
             let single = to_f32(&near).translation.vector.cast::<f64>();
@@ -116,10 +116,10 @@ mod tests {
     }
 
     #[test]
-    fn a_few_places_elsewhere_and_numbers_that_are_none_do_not_count() {
+    fn outlying_and_non_finite_places_are_ignored() {
         let utm = Vector3::new(4.5e6, 5.4e6, 100.0);
         let elsewhere = [Vector3::zeros(), Vector3::new(f64::NAN, 0.0, 0.0), Vector3::repeat(1e15)];
-        assert_eq!(NearFrame::around(way(utm).chain(elsewhere)), NearFrame::around(way(utm)));
+        assert_eq!(NearFrame::around(path(utm).chain(elsewhere)), NearFrame::around(path(utm)));
         assert!(is_on_earth(&utm) && !is_on_earth(&elsewhere[1]) && !is_on_earth(&elsewhere[2]));
     }
 }

@@ -16,7 +16,7 @@ pub struct Rigid2 {
     pub angle: f64,
 }
 
-/// The angle wrapped into [−π, π]; ±π stay as they are. An angle that is not finite stays so.
+/// The angle wrapped into [−π, π]; ±π are kept. An angle that is not finite is kept, too.
 pub fn normalize_angle(angle: f64) -> f64 {
     if (-PI..=PI).contains(&angle) || !angle.is_finite() {
         return angle;

@@ -29,7 +29,7 @@ impl CellGrid {
         }
     }
 
-    /// `cells` must have as many elements as `limits` say.
+    /// `cells` must have as many elements as `limits` contain.
     pub fn from_cells(
         limits: MapLimits,
         code: ValueCode,

@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_is_left_out_and_counted() {
+    fn invalid_cells_are_dropped_and_counted() {
         let mut parts = HybridGridParts {
             resolution: 0.1,
             x_indices: vec![0, 9000, 1, 2, 0, 3, 4],

@@ -83,7 +83,7 @@ impl ProbabilityInserter {
     /// wins over being passed. The grid grows as needed.
     ///
     /// # Errors
-    /// If the origin is not finite or the grid would grow too large; the grid stays as it is.
+    /// If the origin is not finite or the grid would grow too large; the grid remains unchanged.
     pub fn insert(
         &self,
         range_data: &RangeData,
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn hits_and_misses_land_where_they_should() {
+    fn hits_and_misses_are_in_their_cells() {
         let (mut grid, inserter, data) = small_scan();
         let report = inserter.insert(&data, &mut grid).unwrap();
         assert_eq!(report, InsertReport { hits: 4, ..Default::default() });
@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn absurd_points_do_no_harm() {
+    fn absurd_points_are_handled() {
         let (mut grid, inserter, mut data) = small_scan();
         data.returns.points.push(Point3f::new(f32::NAN, 0.0, 0.0));
         data.misses.points.push(Point3f::new(0.0, f32::INFINITY, 0.0));

@@ -56,7 +56,7 @@ impl SectorInserter {
     /// narrower than a cell, with evidence in inverse proportion to its width beyond.
     ///
     /// # Errors
-    /// If the origin is not finite or the grid would grow too large; the grid stays as it is.
+    /// If the origin is not finite or the grid would grow too large; the grid remains unchanged.
     pub fn insert(
         &self,
         range_data: &RangeData,
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn beams_from_afar_do_not_wipe_out_a_wall_seen_from_nearby() {
+    fn distant_beams_do_not_erase_a_wall_seen_from_nearby() {
         let (rays, sectors) = inserters();
         let (mut by_rays, mut by_sectors) = (grid(), grid());
         for _ in 0..5 {
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn the_spacing_of_beams_is_told_by_the_scan() {
+    fn the_spacing_of_beams_is_estimated_from_the_scan() {
         let ring = |step: f32, n: usize, keep: fn(usize) -> bool| {
             let direction = move |i: usize| (i as f32 * step - 1.5).sin_cos();
             scan(

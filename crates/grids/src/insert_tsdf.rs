@@ -106,7 +106,7 @@ impl TsdfInserter {
     /// not used.
     ///
     /// # Errors
-    /// If the origin is not finite or the field would grow too large; the field stays as it is.
+    /// If the origin is not finite or the field would grow too large; the field remains unchanged.
     pub fn insert(&self, range_data: &RangeData, tsdf: &mut Tsdf2d) -> Result<InsertReport, GridError> {
         let origin = range_data.origin;
         let truncation = tsdf.truncation_distance();

@@ -75,7 +75,7 @@ mod tests {
     use portolan_geometry::Point3f;
     use portolan_sensor::PointCloud;
 
-    /// A scan of half a turn with a beam each degree from the origin to what `range` says for its direction in radians.
+    /// A scan of half a turn with a beam each degree from the origin to `range` of its direction in radians.
     fn scan(range: impl Fn(f32) -> Option<f32>) -> RangeData {
         let beam = |i: u16| {
             let direction = f32::from(i).to_radians();
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn a_far_wall_is_joined_and_a_near_one_needs_nothing() {
+    fn gaps_of_a_far_wall_are_joined_and_those_of_a_near_one_are_not() {
         let points = between_neighbours(&scan(wall(20.0)), 0.1);
         assert!(points.len() > 300, "{}", points.len());
         assert!(points.iter().all(|point| (point.y - 20.0).abs() < 1e-3));
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_on_one_line_stays_apart() {
+    fn returns_that_are_not_collinear_are_not_joined() {
         let leaves = scan(|direction| Some(20.0 + 3.0 * (43_758.55 * (12.99 * direction).sin()).fract()));
         let few = between_neighbours(&leaves, 0.1).len();
         assert!(few < 300, "{few} where 180 gaps have room for some 2,500");

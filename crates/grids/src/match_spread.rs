@@ -58,7 +58,7 @@ pub fn match_spread(
 ) -> Option<MatchSpread> {
     let Grid2d::Probability(grid) = grid else { return None };
     let ends = Ends::new(grid, grid_from_scan, points)?;
-    let direction = ends.least_telling_direction();
+    let direction = ends.least_constrained_direction();
     let step = grid.limits().resolution();
     let from_guess = (guess - grid_from_scan.translation).dot(&direction);
     let first = ((from_guess - reach).min(-LEAST_REACH) / step).floor() as i64;
@@ -103,7 +103,7 @@ impl<'a> Ends<'a> {
         (all > 0).then_some(Self { grid, ends, independent: all as f64 / POINTS_PER_INDEPENDENT_ONE })
     }
 
-    fn least_telling_direction(&self) -> Vector2<f64> {
+    fn least_constrained_direction(&self) -> Vector2<f64> {
         let coarse = PI / f64::from(COARSE_DIRECTIONS);
         let likelihood = |angle: f64, farthest: f64| -> f64 {
             let direction = Vector2::new(angle.cos(), angle.sin());
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn doors_that_look_alike_leave_the_way_along_a_corridor_open() {
+    fn similar_doors_leave_the_position_along_a_corridor_ambiguous() {
         for heading in [0.0, 0.4, -1.2] {
             let open = spread(heading, None);
             // Every fourth metre is as likely as the place itself.
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn the_end_of_a_corridor_tells_the_place() {
+    fn the_end_of_a_corridor_constrains_the_position() {
         for heading in [0.0, 0.4, -1.2] {
             let closed = spread(heading, Some(4.0));
             assert!(closed.sigma < 0.1, "{closed:?}");

@@ -8,7 +8,7 @@ use super::{CellBox, CellGrid, CellIndex, Grid2d, GridError, MapLimits, Probabil
 pub struct GridParts {
     /// Position, resolution and size of the grid.
     pub limits: MapLimits,
-    /// Codes, the first index running fastest; as many as the limits say.
+    /// Codes, the first index running fastest; as many as the limits contain.
     pub cells: Vec<u16>,
     /// Box of all known cells.
     pub known_cells_box: Option<CellBox>,
@@ -36,7 +36,7 @@ pub struct TsdfParts {
 pub struct GridRepairs {
     /// Cells and weights that carried the update marker of an unfinished scan, now removed.
     pub markers_removed: usize,
-    /// The known box was inverted, outside the grid or missed known cells, and was computed anew.
+    /// The known box was inverted, outside the grid or missed known cells, and was computed again.
     pub known_box_recomputed: bool,
     /// The cost bounds of a distance field were not its truncation distance; the latter was taken.
     pub cost_bounds_replaced: bool,
@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn an_inverted_box_is_put_right() {
+    fn an_inverted_box_is_repaired() {
         let inverted = CellBox { min: CellIndex::new(21, 22), max: CellIndex::new(19, 20) };
         let (grid, repairs) = Grid2d::from_parts(parts(vec![0; 20], Some(inverted))).unwrap();
         assert!(repairs.known_box_recomputed && grid.known_cells_box().is_none());

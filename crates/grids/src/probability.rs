@@ -70,7 +70,7 @@ impl ProbabilityGrid {
         }
     }
 
-    /// Sets an unknown cell; returns whether it did. Known cells and cells outside stay as they are.
+    /// Sets an unknown cell; returns whether it did. Known cells and cells outside remain unchanged.
     pub fn set_probability(&mut self, cell: CellIndex, probability: f32) -> bool {
         let Some(index) = self.grid.limits.flat_index(cell) else { return false };
         let code = self.grid.code.encode(1.0 - probability);
@@ -101,7 +101,7 @@ impl ProbabilityGrid {
     /// Doubles the grid until all points (metres) are inside.
     ///
     /// # Errors
-    /// If that needs more than `max_cells` cells; the grid stays as it is.
+    /// If that needs more than `max_cells` cells; the grid remains unchanged.
     pub fn grow_to_include(&mut self, points: &[Vector2f], max_cells: usize) -> Result<(), GridError> {
         self.grid.grow_to_include(points, max_cells, &mut [])
     }

@@ -21,7 +21,7 @@ pub fn for_each_cell_on_ray(begin: [i64; 2], end: [i64; 2], scale: i64, mut visi
     }
     let (dx, dy) = (end[0] - begin[0], end[1] - begin[1]);
     // Height of the ray above the lower edge of the current row at the right edge of the current
-    // column, in units in which a cell is `cell` high; all terms are doubled to stay integers.
+    // column, in units in which a cell is `cell` high; all terms are doubled to remain integers.
     let cell = 2 * scale * dx;
     let mut height = (2 * (begin[1] % scale) + 1) * dx + dy * (2 * scale - 2 * (begin[0] % scale) - 1);
     let per_column = 2 * scale * dy;
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn finer_subpixels_tell_more() {
+    fn finer_subpixels_trace_rays_more_accurately() {
         for scale in (0..14).map(|i| 1i64 << i).chain([20]) {
             let mask = |a: [f32; 2], b: [f32; 2]| {
                 let limits = MapLimits::new(0.1, Vector2::new(1.0, 1.0), 20, 20).unwrap();

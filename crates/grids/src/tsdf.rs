@@ -104,7 +104,7 @@ impl Tsdf2d {
     }
 
     /// Sets distance (metres) and weight of a cell for the current scan; both are clamped to their
-    /// bounds. A cell outside stays unknown. Ends with [`Self::finish_update`].
+    /// bounds. A cell outside remains unknown. Ends with [`Self::finish_update`].
     pub fn set(&mut self, cell: CellIndex, signed_distance: f32, weight: f32) {
         if let Some(index) = self.grid.limits.flat_index(cell) {
             self.grid.set_marked_at(index, self.grid.code.encode(signed_distance));
@@ -123,7 +123,7 @@ impl Tsdf2d {
     /// Doubles the field until all points (metres) are inside.
     ///
     /// # Errors
-    /// If that needs more than `max_cells` cells; the field stays as it is.
+    /// If that needs more than `max_cells` cells; the field remains unchanged.
     pub fn grow_to_include(&mut self, points: &[Vector2f], max_cells: usize) -> Result<(), GridError> {
         self.grid.grow_to_include(points, max_cells, &mut [&mut self.weights])
     }

@@ -2,7 +2,7 @@
 //!
 //! Space is cut into blocks of 4×4×4 cells. A block with known cells has a leaf: one bit for each cell
 //! that is known and a list with only their values. A surface seen by a lidar takes 3 to 5 bytes per
-//! known cell that way, less than in a map file (6 to 9), where blocks of values would take 20 and more.
+//! known cell, less than in a map file (6 to 9), where blocks of values would take 20 and more.
 
 use std::fmt;
 

@@ -85,7 +85,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn voxels_are_in_order_and_what_is_in_them_is_not_moved(
+        fn voxels_are_sorted_stably(
             voxels in prop::collection::vec((0u64..1 << 36, 0u64..3), 0..300),
         ) {
             let mut numbers: Vec<u64> =

@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn clouds_of_few_points_do_no_harm() {
+    fn clouds_of_few_points_are_handled() {
         for count in 0..4 {
             let mut points = turn(false, false);
             points.points.truncate(count);

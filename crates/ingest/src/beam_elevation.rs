@@ -18,7 +18,7 @@ const SIGNIFICANT: f64 = 2.0;
 /// Offset about as large as KITTI's, radians: as long as it is possible, more sweeps are evaluated.
 const WORTHWHILE: f64 = 3.5e-3;
 /// Standard deviation above which not even all sweeps would suffice, radians: the search then ends.
-const HOPELESS: f64 = 2.1e-3;
+const MAX_SIGMA: f64 = 2.1e-3;
 
 /// Choice of the angle by which beams are raised.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -47,7 +47,7 @@ impl ElevationOffset {
 
     /// Whether more sweeps may show a significant offset.
     pub(crate) fn may_be_there(&self) -> bool {
-        self.sigma < HOPELESS && self.radians.abs() + SIGNIFICANT * self.sigma > WORTHWHILE
+        self.sigma < MAX_SIGMA && self.radians.abs() + SIGNIFICANT * self.sigma > WORTHWHILE
     }
 
     /// Whether the offset is significant, and small enough for a calibration error.
@@ -90,7 +90,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn beams_are_raised_and_ranges_stay() {
+    fn beams_are_raised_and_ranges_are_kept() {
         for point in [Point3f::new(3.0, -4.0, 1.0), Point3f::new(-10.0, 0.5, -2.0)] {
             let elevation = |p: &Point3f| f64::from(p.z).atan2(f64::from(p.x.hypot(p.y)));
             let raised = Raise::new(0.01).point(&point);

@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_of_whole_seconds_loses_nothing() {
+    fn a_clock_of_whole_seconds_keeps_all_messages() {
         let stamps: Vec<Time> = (0..1000).map(|k| at((0.2 * f64::from(k)).floor())).collect();
         let mut even = EvenStamps::new(StampPolicy::Auto).with_disturbed_period(Some(0.2));
         assert!(stamps.iter().all(|stamp| even.holds(*stamp, &message())));
@@ -265,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn steady_stamps_with_gaps_and_rests_stay_as_they_are() {
+    fn steady_stamps_with_gaps_and_rests_are_kept() {
         let mut stamps: Vec<Time> =
             (0..2000).map(|k| at(0.2 * f64::from(k) + 0.003 * f64::from(k % 7))).collect();
         stamps.drain(300..420);
@@ -279,7 +279,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn times_ascend_and_nothing_is_lost(delays in prop::collection::vec(0.0f64..1.5, 100..600)) {
+        fn times_ascend_and_no_message_is_lost(delays in prop::collection::vec(0.0f64..1.5, 100..600)) {
             let stamps: Vec<Time> =
                 delays.iter().enumerate().map(|(k, delay)| at(0.1 * k as f64 + delay)).collect();
             prop_assert_eq!(even(&stamps, StampPolicy::Regular).len(), stamps.len());

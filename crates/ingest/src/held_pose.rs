@@ -33,7 +33,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn poses_that_repeat_for_longer_than_odometry_is_held_back_mean_standing() {
+    fn poses_repeated_for_longer_than_odometry_is_held_back_mean_standstill() {
         let mut held = HeldPose::new(1.0);
         let at = |tenths: i64| Time::from_ticks(tenths * 1_000_000);
         let (stands, moved) = (Rigid3::identity(), Rigid3::translation(0.1, 0.0, 0.0));

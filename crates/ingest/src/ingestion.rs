@@ -193,7 +193,7 @@ impl Ingestion {
             // Otherwise they are read again and counted later.
             issues.merge(&inventory.moving_issues);
         }
-        for range in plan.range.iter().filter(|range| range.times_in_doubt) {
+        for range in plan.range.iter().filter(|range| range.times_are_uncertain) {
             issues.add(Issue::new(IssueKind::PointTimesInDoubt).of(Arc::clone(&range.source.topic)));
         }
         Ok(Self {

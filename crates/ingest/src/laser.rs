@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn a_measured_duration_stands_for_that_of_the_scan() {
+    fn a_measured_duration_replaces_that_of_the_scan() {
         let mut message = scan(vec![1.0; 5]);
         message.time_increment = 0.3;
         let times = |duration| {

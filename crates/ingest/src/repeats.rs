@@ -175,14 +175,14 @@ mod tests {
             named("/scan", seconds, message)
         };
         let (room, other) = (|i: usize| 2.0 + 0.1 * i as f32, |i: usize| 2.1 + 0.1 * i as f32);
-        let nothing = |_: usize| 80.0;
+        let no_return = |_: usize| 80.0;
         let recording = MemoryRecording::new(vec![
             message(1.0, &room),
             message(1.1, &room),
             message(1.2, &room),
             message(1.3, &other),
-            message(1.4, &nothing),
-            message(1.5, &nothing),
+            message(1.4, &no_return),
+            message(1.5, &no_return),
             message(1.6, &room),
         ]);
         let mut reader = read_without_repeats(&recording, &|_| true)?;

@@ -64,12 +64,14 @@ pub struct RangeStatistics {
     /// recorded times. 0: they are not to be used.
     pub time_scale: Option<f64>,
     /// How the lidar turns, where times by azimuth fit the motion and recorded ones do not.
-    pub turn_told: Option<Turn>,
+    #[serde(rename = "turn_told")]
+    pub azimuth_turn: Option<Turn>,
     /// Seconds from the stamp of a cloud to its first point, by recorded times; none if these count from
     /// another time.
     pub sweep_begin: Option<f64>,
     /// Whether recorded times are wrong without it being clear which times are right.
-    pub times_in_doubt: bool,
+    #[serde(rename = "times_in_doubt")]
+    pub times_are_uncertain: bool,
     /// Whether the lidar stood still in the first look, so that the skew is unobservable.
     pub only_stood: bool,
     /// Whether the points of clouds without times are in the order in which a spinning lidar measured them.
@@ -343,9 +345,9 @@ impl RangeSampler {
             sweep_duration,
             skew,
             time_scale: None,
-            turn_told: None,
+            azimuth_turn: None,
             sweep_begin: point_time.and_then(|times| sweep_begin(&self.time_spans, times)),
-            times_in_doubt: false,
+            times_are_uncertain: false,
             only_stood: self.skew.only_stood(),
             is_in_firing_order: self.in_firing_order > 0,
         };
@@ -361,10 +363,10 @@ impl RangeSampler {
         if right.is_clear {
             skew.elevation = right.elevation;
         }
-        statistics.times_in_doubt = !right.is_clear;
+        statistics.times_are_uncertain = !right.is_clear;
         match right.times {
             Times::Scaled(scale) => statistics.time_scale = Some(scale),
-            Times::ByAzimuth(turn) => statistics.turn_told = Some(turn),
+            Times::ByAzimuth(turn) => statistics.azimuth_turn = Some(turn),
         }
     }
 }
@@ -386,7 +388,7 @@ const MILLIMETRE: f32 = 1e-3;
 /// scene is that near.
 const MEDIAN_IN_MILLIMETRES: std::ops::Range<f32> = 500.0..500_000.0;
 /// Minimum number of points that determine the unit.
-const TELLING_POINTS: usize = 50;
+const MIN_POINTS: usize = 50;
 
 /// Metres in one unit of the coordinates, from the ranges of the points; none if they are too few.
 fn length_unit(layout: &CloudLayout, cloud: &PointCloud2) -> Option<f32> {
@@ -396,7 +398,7 @@ fn length_unit(layout: &CloudLayout, cloud: &PointCloud2) -> Option<f32> {
         let range = point.coords.norm();
         ranges.extend((range.is_finite() && range > 0.0).then_some(range));
     });
-    if ranges.len() < TELLING_POINTS {
+    if ranges.len() < MIN_POINTS {
         return None;
     }
     let middle = ranges.len() / 2;

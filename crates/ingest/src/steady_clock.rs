@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn stamps_of_an_irregular_sensor_stay() {
+    fn stamps_of_an_irregular_sensor_are_kept() {
         let noise = StampNoise { of_stamps: 0.003, of_intervals: 0.04 };
         let truth: Vec<f64> = (0..500).map(|k| 0.2 * k as f64 + 0.06 * random(k)).collect();
         let (_, after) = errors(&truth, |_| 0.0, noise);

@@ -1,4 +1,4 @@
-//! Points with times, on their way from a message to a measurement.
+//! Points with times, between a message and a measurement.
 
 use portolan_geometry::{Duration, Time};
 use portolan_sensor::TimedPoint;

@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn jitter_is_smoothed_and_turns_stay_apart() {
+    fn jitter_is_smoothed_and_turns_remain_separate() {
         // Stamps of a clock of 10 ms.
         let mut clock = TurnClock::new(0.1);
         for k in 0..300 {

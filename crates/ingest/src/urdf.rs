@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn macros_and_nonsense_are_refused_with_advice() {
+    fn macros_and_invalid_text_are_refused_with_advice() {
         let error = parse_urdf(r#"<robot xmlns:xacro="x"><xacro:include/></robot>"#, false).unwrap_err();
         assert!(error.contains("xacro robot.urdf.xacro > robot.urdf"));
         assert!(parse_urdf(ROBOT, true).is_err());

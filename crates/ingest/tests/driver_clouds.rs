@@ -152,26 +152,26 @@ fn drivers() -> Vec<Driver> {
     ]
 }
 
-/// Two walls and more, all at distances that tell the direction.
-fn sample(begin: f64, column: usize, ring: usize, nothing: bool) -> Sample {
+/// Two walls and more, all at distances that determine the direction.
+fn sample(begin: f64, column: usize, ring: usize, no_return: bool) -> Sample {
     let share = column as f64 / COLUMNS as f64;
     let azimuth = 1.0 - share * std::f64::consts::TAU;
     let elevation = (2.0 * ring as f64 - 7.0).to_radians();
     // No two clouds are the same.
     let range = 6.0 + azimuth.sin() + 1e-5 * (1e3 * begin + column as f64).sin();
     let position = [range * azimuth.cos(), range * azimuth.sin(), range * elevation.tan()].map(|v| v as f32);
-    let position = if nothing { [f32::NAN; 3] } else { position };
+    let position = if no_return { [f32::NAN; 3] } else { position };
     Sample { ring, since_begin: share * TURN, begin, position, intensity: (column % 100) as f32 }
 }
 
 fn cloud(driver: &Driver, begin: f64) -> PointCloud2 {
-    let nothing = |column: usize, ring: usize| driver.organised && (column + ring) % 9 == 4;
+    let no_return = |column: usize, ring: usize| driver.organised && (column + ring) % 9 == 4;
     let by_column = |i: usize| (i / RINGS, i % RINGS);
     let by_ring = |i: usize| (i % COLUMNS, i / COLUMNS);
     let mut data = Vec::new();
     for i in 0..COLUMNS * RINGS {
         let (column, ring) = if driver.organised { by_ring(i) } else { by_column(i) };
-        let sample = sample(begin, column, ring, nothing(column, ring));
+        let sample = sample(begin, column, ring, no_return(column, ring));
         let mut point = vec![0xaa; driver.point_step as usize];
         for (_, offset, field_type, value) in &driver.fields {
             let value = value(&sample);

@@ -1,6 +1,6 @@
 //! Real recordings as measurements.
 
-#![allow(clippy::unwrap_used, clippy::panic)] // tests say what is wrong that way
+#![allow(clippy::unwrap_used, clippy::panic)] // failures of tests are panics
 
 use portolan_geometry::{Dimension, Time, rotation_angle};
 use portolan_ingest::{IngestOptions, Ingestion};
@@ -137,7 +137,7 @@ fn clouds_without_times_are_instants() {
 #[test]
 fn odometry_may_be_in_transforms() {
     let Some(path) = real_data("ros_bags/evo_tf_example.bag") else { return };
-    // It has transforms only: nothing to map with, told by name.
+    // It has transforms only: no sensor to map with; the error names them.
     let error = Ingestion::new(&*open(path).unwrap(), &IngestOptions::default()).err().unwrap().to_string();
     assert!(error.contains("/tf"), "{error}");
     let Some(path) = real_data("ros_bags/scan_tools_demo.bag") else { return };

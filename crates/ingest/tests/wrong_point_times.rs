@@ -1,6 +1,6 @@
-//! Recordings whose points have the times of other points, or none that tell one from another.
+//! Recordings whose points have the times of other points, or the same time for all points.
 
-#![allow(clippy::unwrap_used, clippy::panic)] // tests say what is wrong that way
+#![allow(clippy::unwrap_used, clippy::panic)] // failures of tests are panics
 
 use std::path::Path;
 
@@ -92,7 +92,7 @@ fn times_of_other_points_are_replaced_by_those_of_the_azimuth() {
     ];
     for (name, change) in changes {
         let range = planned(&sweeps, change);
-        assert!(range.point_time.is_none() && !range.times_in_doubt, "{path} {name}: {range:?}");
+        assert!(range.point_time.is_none() && !range.times_are_uncertain, "{path} {name}: {range:?}");
         assert_eq!(range.azimuth_times, AzimuthTimes::FromStamp, "{path} {name}");
         let turn = range.turn.unwrap();
         let off = (turn.begin_radians.to_degrees() - begin_degrees + 180.0).rem_euclid(360.0) - 180.0;
@@ -105,5 +105,5 @@ fn times_in_an_unknown_unit_are_scaled_to_the_time_between_clouds() {
     let Some(file) = real_data("lidar3d/walk.bag") else { return };
     let range = planned(&sweeps(&file), &shares);
     let times = range.point_time.unwrap();
-    assert!(!range.times_in_doubt && (times.unit - 0.1).abs() < 0.002, "{times:?}");
+    assert!(!range.times_are_uncertain && (times.unit - 0.1).abs() < 0.002, "{times:?}");
 }

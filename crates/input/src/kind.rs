@@ -5,7 +5,7 @@ const KINDS: [(&[u8], &str); 18] = [
     (b"\xdb\x01\xf5\x5b\x7b\x1f\x1d\x7b", "a map (pbstream)"),
     (
         b"\x89PMAPJ1\n",
-        "what a `portolan map` left that was cut off: the same command with --resume goes on with it",
+        "the journal of an interrupted `portolan map`: the same command with --resume continues it",
     ),
     (b"#ROSBAG V", "a ROS 1 bag: map it first (`portolan map`)"),
     (b"#ROSBAG ", "a ROS 1 bag: map it first (`portolan map`)"),
@@ -33,18 +33,18 @@ pub fn kind_of(start: &[u8]) -> Option<&'static str> {
 
 /// Unambiguous beginnings of text formats, and of further binary formats, with a description.
 const TEXTS: [(&[u8], &str); 12] = [
-    (b"<", "XML: a robot description (URDF) goes with --urdf"),
+    (b"<", "XML: a robot description (URDF) is given with --urdf"),
     (b"{", "JSON"),
-    (b"--", "a file of Lua: a configuration goes with --config"),
-    (b"include ", "a file of Lua: a configuration goes with --config"),
-    (b"return ", "a file of Lua: a configuration goes with --config"),
+    (b"--", "a Lua file: a configuration is given with --config"),
+    (b"include ", "a Lua file: a configuration is given with --config"),
+    (b"return ", "a Lua file: a configuration is given with --config"),
     (b"VERTEX_", "a pose graph (g2o)"),
     (b"EDGE_", "a pose graph (g2o)"),
-    (b"image:", "the description of an image map (YAML), of which the map cannot be made again"),
+    (b"image:", "the description of an image map (YAML), from which the map cannot be restored"),
     (b"P5\n", "a picture"),
     (b"P6\n", "a picture"),
     (b"\xff\xd8\xff", "a picture"),
-    (&[0; 8], "a file that begins with zeros: damaged, or copied in part"),
+    (&[0; 8], "a file that begins with zeros: damaged, or only partly copied"),
 ];
 
 /// As [`kind_of`], and also recognises text formats and empty files. For callers that can use none of these formats.

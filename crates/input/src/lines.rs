@@ -64,7 +64,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_end_in_every_way() {
+    fn all_line_endings_are_recognised() {
         let mut input: &[u8] = b"one\r\ntwo\n\nfour";
         let mut line = Vec::new();
         let mut found = Vec::new();

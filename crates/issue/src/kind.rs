@@ -308,7 +308,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_and_texts_are_there_once() {
+    fn names_and_texts_are_unique() {
         let texts: BTreeSet<&str> = IssueKind::ALL.iter().map(|kind| kind.text()).collect();
         assert_eq!(texts.len(), IssueKind::ALL.len());
         assert_eq!(IssueKind::ScanBeforeImu.name(), "scan_before_imu");

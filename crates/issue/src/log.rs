@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn hostile_input_does_not_make_it_grow() {
+    fn hostile_input_does_not_make_the_log_grow() {
         let mut log = IssueLog::default();
         for number in 0..10 * MAX_ENTRIES {
             log.add(Issue::new(IssueKind::UnusedLines).with("kind", number));

@@ -334,7 +334,7 @@ mod tests {
     use crate::testing::street;
 
     #[test]
-    fn posts_and_walls_show_how_far_a_car_went() {
+    fn posts_and_walls_determine_the_motion_of_a_car() {
         let settings = CorrelationSettings::default();
         let first = street(&Rigid3::identity());
         let reference = CorrelationReference::new(&first, &settings);
@@ -353,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn ground_ceilings_and_what_is_no_number_are_not_upright() {
+    fn ground_ceilings_and_non_finite_points_are_not_upright() {
         let settings = CorrelationSettings::default();
         let room =
             |z: f32| (0..400).map(move |i| Point3f::new(0.1 * (i % 20) as f32, 0.1 * (i / 20) as f32, z));

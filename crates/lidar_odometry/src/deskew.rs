@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn points_come_to_where_they_are_seen_from_the_end() {
+    fn points_are_transformed_to_the_end_of_the_sweep() {
         let start = Time::from_ticks(0);
         let end = start + Duration::from_seconds(0.1);
         // The velocity of the previous sweep.
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn a_segment_of_no_length_moves_nothing() {
+    fn a_segment_without_duration_does_not_move_points() {
         let time = Time::from_ticks(5);
         let segment = TrajectorySegment::new(time, time, |_| truth(0.3));
         let point = Point3f::new(1.0, 2.0, 3.0);

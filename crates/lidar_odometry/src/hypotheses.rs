@@ -44,19 +44,19 @@ mod tests {
     }
 
     #[test]
-    fn the_first_one_stays_unless_another_is_clearly_better() {
+    fn the_first_hypothesis_is_kept_unless_another_is_clearly_better() {
         assert_eq!(chosen(1.0, &[1.05, 0.3]), 1.0);
         assert_eq!(chosen(1.0, &[1.2, 0.3]), 1.2);
         assert_eq!(chosen(0.0, &[0.0]), 0.0);
     }
 
     #[test]
-    fn among_those_that_are_better_the_best_counts() {
+    fn the_best_of_several_better_hypotheses_is_accepted() {
         assert_eq!(chosen(1.0, &[1.2, 1.25, 1.15]), 1.25);
     }
 
     #[test]
-    fn what_cannot_win_is_told_how_much_it_needs() {
+    fn hypotheses_are_tested_against_the_fit_that_they_need() {
         let mut needed = Vec::new();
         let others = [2.0, 1.0].map(|motion| Other { motion, clearly_better: 1.5 });
         best(

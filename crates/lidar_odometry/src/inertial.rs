@@ -52,7 +52,7 @@ pub(crate) struct PoseMeasurement<'a> {
     /// Covariance of the position error by attenuation, m². None where the sweep does not fit.
     pub attenuation: Option<na::Matrix3<f64>>,
     /// Whether the rotation adds information to that of the gyroscope.
-    pub tells_rotation: bool,
+    pub measures_rotation: bool,
     /// Whether the gyroscope measured the rotation since the last sweep.
     pub gyroscope_holds: bool,
     /// Whether the platform stands still.
@@ -122,7 +122,7 @@ impl InertialFilter {
         }
         let rotation = start.local_from_tracking.rotation;
         self.estimate = Some(InertialEstimate::first(rotation, force, USUAL_GRAVITY, &self.errors));
-        self.begin_anew(time, start);
+        self.restart(time, start);
     }
 
     /// Whether the mean specific force is about gravity. If not, the accelerometer has other units.
@@ -134,7 +134,7 @@ impl InertialFilter {
 
     /// Resets pose and velocity at the end of a sweep, after motion that it did not follow. Biases and
     /// gravity remain.
-    pub fn begin_anew(&mut self, time: Time, start: &InertialStart) {
+    pub fn restart(&mut self, time: Time, start: &InertialStart) {
         let settings = &self.settings;
         let sigmas = [self.place_error, self.prior.least_rotation_error, settings.first_velocity];
         if let Some(estimate) = &mut self.estimate {
@@ -231,7 +231,7 @@ impl InertialFilter {
         let is_possible = squared_mahalanobis(&innovation, &expected) < self.outlier_sigmas.powi(2);
         if !measured.gyroscope_holds || !is_possible {
             estimate.forget(InertialEntry::Rotation, UNKNOWN_SIGMA);
-        } else if !measured.tells_rotation {
+        } else if !measured.measures_rotation {
             return;
         }
         estimate.correct(InertialEntry::Rotation, &innovation, &error);

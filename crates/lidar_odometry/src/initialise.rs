@@ -19,8 +19,8 @@ use crate::settings::constants::initialise::{
     COARSE, ITERATIONS, LEVEL_TILT, PROMISING_FRACTION, UNPREDICTED_FACTOR,
 };
 use crate::sweep::Sweep;
+use crate::travel_correlation::is_horizontal;
 use crate::vertical::vertical_from_planes;
-use crate::witness::is_horizontal;
 
 /// The rotation at a time, from the tracking frame to a gravity-aligned one.
 pub(crate) type RotationAt<'a> = dyn Fn(Time) -> Quaternion + 'a;
@@ -122,7 +122,8 @@ impl<'a> FirstSweeps<'a> {
         let reference = as_mounted.deskewed(first);
         let planes = planes_of(&reference, settings);
         let level = as_mounted.leveled(&planes);
-        let still = if leans(&level.rotation) { Self { start: level, ..as_mounted } } else { as_mounted };
+        let still =
+            if is_not_level(&level.rotation) { Self { start: level, ..as_mounted } } else { as_mounted };
         let Some(second) = second.filter(|s| s.end > first.end) else {
             return vec![still.leveled(&planes)];
         };
@@ -168,13 +169,13 @@ impl<'a> FirstSweeps<'a> {
     fn first_motion(&self, (reference, planes): (&[Point3f], &PlaneMap), second: &Sweep) -> FirstMotion {
         let deskewed = self.deskewed(second);
         let peaks = self.coarse_motions(reference, &deskewed, second);
-        let as_believed = self.believed(second);
+        let assumed = self.assumed_motion(second);
         let share = peaks.first().map(|(_, share)| *share);
         let places: Vec<Rigid3> = peaks.into_iter().map(|(motion, _)| motion).collect();
         match share {
-            None => FirstMotion::Registered(self.registered(planes, &deskewed, &[as_believed])),
+            None => FirstMotion::Registered(self.registered(planes, &deskewed, &[assumed])),
             Some(share) if share < self.settings.correlation.min_share => {
-                FirstMotion::Undecided(std::iter::once(as_believed).chain(places).collect())
+                FirstMotion::Undecided(std::iter::once(assumed).chain(places).collect())
             }
             Some(_) => {
                 let mut found = self.registered(planes, &deskewed, &places);
@@ -222,9 +223,9 @@ impl<'a> FirstSweeps<'a> {
         let seconds = second.end.seconds_since(self.first.end);
         let window = Window::after(seconds, self.rotation_at.is_some(), settings);
         // Both relative to the scanner, and level if it is mounted at an angle.
-        let is_leaning = leans(&self.pose_at(self.first.end).rotation);
+        let is_tilted = is_not_level(&self.pose_at(self.first.end).rotation);
         let [local_from_first, local_from_second] = [self.first.end, second.end].map(|end| {
-            let rotation = if is_leaning { self.pose_at(end).rotation } else { Quaternion::identity() };
+            let rotation = if is_tilted { self.pose_at(end).rotation } else { Quaternion::identity() };
             Rigid3::from_parts(Default::default(), rotation)
         });
         let level = |points: &[Point3f], rotation: &Rigid3| -> Vec<Point3f> {
@@ -233,7 +234,7 @@ impl<'a> FirstSweeps<'a> {
         };
         let reference =
             CorrelationReference::new(&upright(&level(reference, &local_from_first), settings), settings);
-        let initial = local_from_first * self.believed(second) * local_from_second.inverse();
+        let initial = local_from_first * self.assumed_motion(second) * local_from_second.inverse();
         let peaks = reference.peaks(&level(deskewed, &local_from_second), &initial, window);
         let first_from_second = |peak: Peak| local_from_first.inverse() * peak.pose * local_from_second;
         peaks.into_iter().map(|peak| (first_from_second(peak), peak.share)).collect()
@@ -246,7 +247,9 @@ impl<'a> FirstSweeps<'a> {
         self.move_by(&relative.motion, seconds);
         for _ in 1..ITERATIONS {
             let points = voxel_filter_points(&self.deskewed(second), self.settings.first_spacing());
-            let Some(next) = self.register(&self.planes(), &points, &self.believed(second)) else { break };
+            let Some(next) = self.register(&self.planes(), &points, &self.assumed_motion(second)) else {
+                break;
+            };
             relative = next;
             self.move_by(&relative.motion, seconds);
         }
@@ -280,7 +283,7 @@ impl<'a> FirstSweeps<'a> {
     }
 
     /// The assumed pose at the end of the second sweep in that of the first.
-    fn believed(&self, second: &Sweep) -> Rigid3 {
+    fn assumed_motion(&self, second: &Sweep) -> Rigid3 {
         self.pose_at(self.first.end).inverse() * self.pose_at(second.end)
     }
 
@@ -331,7 +334,7 @@ impl<'a> FirstSweeps<'a> {
 
 /// Whether the tracking frame is tilted so much that upright structures have to be searched in a level
 /// one.
-fn leans(local_from_tracking: &Quaternion) -> bool {
+fn is_not_level(local_from_tracking: &Quaternion) -> bool {
     (local_from_tracking * Vector3::z()).z < LEVEL_TILT.cos()
 }
 

@@ -4,7 +4,7 @@
 //! The prior of constant rotation is wide enough for a swinging lidar. On a vehicle it is too wide: sensor
 //! errors that repeat in every revolution are then taken for motion during the sweep, and bend the
 //! trajectory by the part of them that is carried on from sweep to sweep. The prior of a gyroscope is its
-//! own error; it is too narrow where time stamps jitter, its clock is off or its mounting gives way.
+//! own error; it is too narrow where time stamps jitter, its clock is off or its mounting flexes.
 
 use portolan_numeric::CovarianceMatching;
 
@@ -70,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn a_smooth_drive_narrows_the_prior_and_a_jolt_opens_it() {
+    fn a_smooth_drive_narrows_the_prior_and_a_jolt_widens_it() {
         let mut innovations = Innovations::default();
         assert_eq!(innovations.of_constant(), 1.0);
         (0..200).for_each(|_| innovations.add_constant(&correction(0.002), 0.05));
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gyroscope_is_as_good_as_it_should_be_until_it_is_not() {
+    fn the_prior_of_a_gyroscope_widens_with_its_innovations() {
         let mut innovations = Innovations::default();
         assert_eq!(innovations.of_measured(), 1.0);
         (0..20).for_each(|_| innovations.add_measured(&correction(0.0002), 0.0005));
@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn what_repeats_within_sweeps_and_not_from_sweep_to_sweep_is_no_innovation() {
+    fn corrections_that_cancel_within_a_sweep_are_no_innovations() {
         let mut innovations = Innovations::default();
         let SegmentCorrection { growth, .. } = correction(0.01);
         (0..200).for_each(|_| {

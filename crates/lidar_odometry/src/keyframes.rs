@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn the_longer_it_stands_the_fewer_key_frames_there_are() {
+    fn key_frames_become_rarer_during_a_standstill() {
         let decisions = decisions(true, 0.0);
         let found = keyframes(&decisions);
         let seconds: Vec<f64> = found.windows(2).map(|w| 0.1 * f64::from(w[1] - w[0])).collect();

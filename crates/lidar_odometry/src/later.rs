@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn changes_come_one_after_the_other() {
+    fn changes_are_applied_in_order() {
         let (later, mut expected) = (Later::new(Vec::new()), Vec::new());
         for i in 0..1000 {
             later.change(move |all: &mut Vec<i32>| all.push(i));
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_waits_for_a_pool_that_is_busy() {
+    fn changes_are_applied_while_the_thread_pool_is_busy() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
         let sum = pool.install(|| {
             let later = Later::new(0);

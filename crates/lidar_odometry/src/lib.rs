@@ -1,6 +1,5 @@
 #![doc = include_str!("../README.md")]
 
-mod belief;
 mod correlation;
 mod deskew;
 mod gap;
@@ -21,6 +20,7 @@ mod pieces;
 mod plane_fit;
 mod plane_map;
 mod poles;
+mod pose_status;
 mod predict;
 mod registration;
 mod remembered;
@@ -35,11 +35,11 @@ mod sweep_registration;
 #[cfg(test)]
 mod testing;
 mod tracker;
+mod travel_correlation;
 mod two_threads;
 mod vertical;
 mod voxel_tree;
 mod wide_search;
-mod witness;
 
 pub use deskew::PiecewiseLinearTrajectory;
 pub use issues::{Issue, Issues};
@@ -47,7 +47,7 @@ pub use later::Later;
 pub use local_map::GrowingMap;
 pub use odometry::{LidarOdometry, SweepError};
 pub use phase::Phase;
-pub use pieces::PieceBegun;
+pub use pieces::NewPiece;
 pub use plane_map::{Plane, PlaneMap, PlaneRecord, Unreliable};
 pub use poles::{PoleMap, PolePoint};
 pub use registration::{MotionPrior, PosePrior, Registration, RegistrationResult, Sigmas};

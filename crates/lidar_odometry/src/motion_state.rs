@@ -47,7 +47,7 @@ pub(crate) struct SweepEnd<'a> {
     pub is_standing: bool,
     /// Whether the rotation calibrates the gyroscope. Before the map is warmed up it does not: errors of
     /// the first sweeps fit the map that was made of them.
-    pub tells_rotation: bool,
+    pub measures_rotation: bool,
     /// Velocities of the platform at this time, where they do not follow from the pose before.
     pub velocities: Option<Velocities>,
 }
@@ -162,13 +162,14 @@ impl MotionState {
     /// odometry.
     fn extrapolated(&mut self, end: Time) -> (TrajectorySegment, Option<OdometryPrediction>) {
         let rotation_is_measured = self.has_gyroscope(end);
-        let told = predict::extrapolated(&mut self.extrapolator, end);
-        let is_told = self.extrapolator.has_odometry(end);
-        let odometry = is_told.then(|| self.odometry.predict(&told, end, rotation_is_measured)).flatten();
-        let Some(odometry) = odometry else { return (told, None) };
+        let segment = predict::extrapolated(&mut self.extrapolator, end);
+        let has_odometry = self.extrapolator.has_odometry(end);
+        let odometry =
+            has_odometry.then(|| self.odometry.predict(&segment, end, rotation_is_measured)).flatten();
+        let Some(odometry) = odometry else { return (segment, None) };
         // Where odometry may fail, it does not count as evidence of rest.
-        if self.odometry.works() && !odometry.they_differ() {
-            self.zero_velocity.add_odometry(&odometry.measured.translation(), told.seconds());
+        if self.odometry.works() && !odometry.motions_differ() {
+            self.zero_velocity.add_odometry(&odometry.measured.translation(), segment.seconds());
         }
         (self.odometry.likelier(&odometry).clone(), Some(odometry))
     }
@@ -181,7 +182,7 @@ impl MotionState {
     ) -> Option<TrajectorySegment> {
         let is_measured = matches!(first.source, MotionSource::Odometry { .. });
         let other = if is_measured { &odometry.otherwise } else { &odometry.measured };
-        odometry.they_differ().then(|| other.clone())
+        odometry.motions_differ().then(|| other.clone())
     }
 
     /// Whether the accelerometer is reliable, and more precise than the motion without it.
@@ -267,10 +268,10 @@ impl MotionState {
         if self.has_imu {
             self.update_inertial(prediction, inertial, end);
         }
-        self.odometry.saw(end.measured);
+        self.odometry.observe(end.measured);
         if let (Some(odometry), Some(found)) = (&prediction.odometry, end.measured) {
             let start = prediction.segment.start().translation.vector;
-            self.odometry.learn(odometry, &start, found, end.tells_rotation);
+            self.odometry.learn(odometry, &start, found, end.measures_rotation);
         }
         if let Some(velocities) = end.velocities {
             let before = end.time - Duration::from_seconds(VELOCITY_INTERVAL);
@@ -304,8 +305,8 @@ impl MotionState {
     }
 
     /// Whether there is odometry that sweeps contradict.
-    pub fn doubts_odometry(&self) -> bool {
-        self.odometry.is_doubted()
+    pub fn odometry_is_contradicted(&self) -> bool {
+        self.odometry.is_contradicted()
     }
 
     /// Corrects the inertial filter, or resets it.
@@ -326,7 +327,7 @@ impl MotionState {
                 local_from_tracking: end.local_from_tracking,
                 degenerate: &degenerate,
                 attenuation: end.attenuation,
-                tells_rotation: end.tells_rotation,
+                measures_rotation: end.measures_rotation,
                 gyroscope_holds: prediction.segment.rotation_is_measured() && !prediction.is_saturated,
                 is_standing: end.is_standing,
             };
@@ -338,7 +339,7 @@ impl MotionState {
             end.local_from_tracking.translation.vector - extrapolated.start().translation.vector;
         let mean = translation / extrapolated.seconds().max(1e-3);
         let velocity = end.velocities.map_or(mean, |velocities| turn * velocities.linear);
-        self.inertial.begin_anew(end.time, &self.inertial_start(end.local_from_tracking, velocity));
+        self.inertial.restart(end.time, &self.inertial_start(end.local_from_tracking, velocity));
     }
 
     /// Initial state of the inertial filter at this velocity (m/s in the local map).

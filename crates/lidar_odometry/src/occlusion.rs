@@ -7,8 +7,8 @@
 use portolan_geometry::Time;
 use portolan_sensor::{UsualReach, log_reach};
 
-use crate::belief::PoseBelief;
 use crate::issues::Issues;
+use crate::pose_status::PoseStatus;
 use crate::settings::LossSettings;
 use crate::sweep::Sweep;
 use crate::tracker::Tracker;
@@ -39,5 +39,5 @@ impl Occlusion {
 
 fn contradicts_map(sweep: &Sweep, tracker: &Tracker) -> bool {
     let registered = tracker.fork().register(None, sweep.clone(), None, &mut Issues::default());
-    registered.belief != PoseBelief::Sure
+    registered.status != PoseStatus::Confirmed
 }

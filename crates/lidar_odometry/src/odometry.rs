@@ -10,16 +10,16 @@ use portolan_recall::Memory;
 use portolan_sensor::{ImuData, OdometryData};
 use thiserror::Error;
 
-use crate::belief::PoseBelief;
 use crate::gap::{self, NextSweep};
 use crate::issues::{Issue, Issues};
 use crate::local_map::GrowingMap;
 use crate::motion_state::MotionState;
 use crate::occlusion::Occlusion;
 use crate::phase::{Phase, State};
-use crate::pieces::{Attempts, Ended, PieceBegun, Recent};
+use crate::pieces::{Attempts, Ended, NewPiece, Recent};
+use crate::pose_status::PoseStatus;
 use crate::settings::OdometrySettings;
-use crate::start::{Begun, FirstMotion};
+use crate::start::{FirstMotion, StartedTrajectory};
 use crate::sweep::Sweep;
 use crate::tracker::{Fallback, RegisteredSweep};
 
@@ -45,7 +45,7 @@ pub struct LidarOdometry {
     /// Data since the last sweep that fitted the map.
     recent: Recent,
     /// The beginning of a piece of map whose first sweep is not registered yet.
-    begun: Option<PieceBegun>,
+    new_piece: Option<NewPiece>,
     ended: Ended,
     attempts: Attempts,
     occlusion: Occlusion,
@@ -68,7 +68,7 @@ impl LidarOdometry {
             waiting: VecDeque::new(),
             ready: VecDeque::new(),
             recent: Recent::default(),
-            begun: None,
+            new_piece: None,
             ended: Ended::default(),
             attempts: Attempts::default(),
             occlusion: Occlusion::default(),
@@ -144,38 +144,38 @@ impl LidarOdometry {
     }
 
     fn judge(&mut self, mut registered: RegisteredSweep) {
-        match registered.belief {
-            PoseBelief::Sure => {
+        match registered.status {
+            PoseStatus::Confirmed => {
                 self.recent.fitted(&registered);
-                registered.begun = self.begun.take();
+                registered.new_piece = self.new_piece.take();
                 self.ready.extend(self.recent.release());
                 self.ready.push_back(registered);
             }
-            PoseBelief::Doubtful { .. } => self.recent.hold(registered),
-            PoseBelief::Lost { since } => {
+            PoseStatus::Suspect { .. } => self.recent.hold(registered),
+            PoseStatus::Lost { since } => {
                 let end = registered.sweep.end;
                 self.recent.hold(registered);
                 if self.attempts.is_time_for_another(end, &self.settings.loss) {
-                    self.begin_anew(since);
+                    self.restart(since);
                 }
             }
         }
     }
 
     /// Ends the piece of map that sweeps no longer fit, and registers all data since then once more, to an
-    /// empty map. If that piece had hardly begun, the new one begins with the newest sweeps, since earlier
+    /// empty map. If that piece had hardly started, the new one begins with the newest sweeps, since earlier
     /// ones may not determine the motion.
-    fn begin_anew(&mut self, since: Time) {
+    fn restart(&mut self, since: Time) {
         let initialisation =
             State::WaitingForGravity(GravityInitialisation::new(self.settings.initialisation.leveling_time));
         let State::Tracking(tracker) = std::mem::replace(&mut self.state, initialisation) else { return };
         self.ended.add(&tracker);
-        self.attempts.ended(!tracker.is_warming_up());
+        self.attempts.end(!tracker.is_warming_up());
         if tracker.is_warming_up() {
             self.ready.extend(self.recent.give_up_all_but(self.settings.loss.sweeps));
         }
         let maps = tracker.local_map().all().map(|map| map.planes.now().compacted()).collect();
-        self.begun = Some(PieceBegun { since, ended_from_begun: self.recent.ended_from_begun(), maps });
+        self.new_piece = Some(NewPiece { since, old_from_new: self.recent.old_from_new(), maps });
         let replay = self.recent.replay();
         replay.sweeps.into_iter().rev().for_each(|sweep| self.waiting.push_front(sweep));
         replay.imu.iter().for_each(|sample| self.add_imu(sample));
@@ -187,9 +187,9 @@ impl LidarOdometry {
     fn register_first(&mut self) -> Option<Vec<RegisteredSweep>> {
         let State::FirstSweep(first) = &mut self.state else { return None };
         let sweeps = self.waiting.make_contiguous();
-        let Begun { tracker, registered, issues } =
+        let StartedTrajectory { tracker, registered, issues } =
             first.decide(&self.settings, &self.memory, sweeps, self.is_ended)?;
-        self.attempts.begun(registered.first().map(|first| first.sweep.end));
+        self.attempts.begin(registered.first().map(|first| first.sweep.end));
         self.waiting.drain(..registered.len().min(self.waiting.len()));
         self.issues.add(&issues);
         self.state = State::Tracking(Box::new(tracker));
@@ -247,7 +247,7 @@ impl LidarOdometry {
     }
 
     /// Begins the trajectory if the data suffices, or if too little comes to wait for more. `elsewhere`:
-    /// sweeps that wait outside. Gives whether it has begun.
+    /// sweeps that wait outside. Gives whether it has started.
     pub fn begin_if_ready(&mut self, elsewhere: Option<&WaitingSweeps>) -> bool {
         let waiting = self.waiting_sweeps(elsewhere);
         if let State::WaitingForGravity(initialisation) = &self.state

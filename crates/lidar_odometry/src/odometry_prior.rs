@@ -35,7 +35,7 @@ pub(crate) struct OdometryPrediction {
     pub measured: TrajectorySegment,
     /// Without odometry.
     pub otherwise: TrajectorySegment,
-    told: OdometryMotion,
+    uncorrected: OdometryMotion,
     two: TwoMotions,
 }
 
@@ -48,7 +48,7 @@ pub(crate) struct MeasuredPlace {
     pub of_prior: f64,
     /// Directions along which points constrain it, orthonormal in the local map, and the variance along
     /// each, m².
-    pub told: Vec<(Vector3, f64)>,
+    pub constrained: Vec<(Vector3, f64)>,
 }
 
 impl OdometryPrior {
@@ -82,24 +82,25 @@ impl OdometryPrior {
         }
     }
 
-    /// Predictions for a sweep. `told`: the segment by odometry, without correction.
+    /// Predictions for a sweep. `by_odometry`: the segment by odometry, without correction.
     /// `rotation_is_measured`: both rotations are those of a gyroscope. None where there is no odometry.
     pub fn predict(
         &mut self,
-        told: &TrajectorySegment,
+        by_odometry: &TrajectorySegment,
         end: Time,
         rotation_is_measured: bool,
     ) -> Option<OdometryPrediction> {
         let without = self.without.as_mut()?;
         without.prepare(end);
         let otherwise = predict::extrapolated(without, end);
-        let motion = OdometryMotion { translation: told.translation(), seconds: told.seconds() };
+        let motion =
+            OdometryMotion { translation: by_odometry.translation(), seconds: by_odometry.seconds() };
         let sigma = self.calibration.sigma(&motion);
-        let mut measured = self.calibration.corrected(told, &motion);
+        let mut measured = self.calibration.corrected(by_odometry, &motion);
         measured.source = MotionSource::Odometry { translation_sigma: sigma };
         let by_acceleration =
             self.settings.least_translation_error + self.settings.by_acceleration(otherwise.seconds());
-        let seconds = told.seconds();
+        let seconds = by_odometry.seconds();
         let two = TwoMotions {
             measured: Predicted { end: measured.end(), sigma },
             otherwise: Predicted { end: otherwise.end(), sigma: by_acceleration },
@@ -108,12 +109,12 @@ impl OdometryPrior {
                     + 0.5 * self.settings.rotational_acceleration * seconds * seconds,
             ),
         };
-        Some(OdometryPrediction { measured, otherwise, told: motion, two })
+        Some(OdometryPrediction { measured, otherwise, uncorrected: motion, two })
     }
 
     /// Takes the position of a sweep, whether there was odometry or not; none where it does not fit.
-    pub fn saw(&mut self, found: Option<&MeasuredPlace>) {
-        self.velocity_is_known = found.is_some_and(|found| found.told.len() == 3);
+    pub fn observe(&mut self, found: Option<&MeasuredPlace>) {
+        self.velocity_is_known = found.is_some_and(|found| found.constrained.len() == 3);
     }
 
     /// Takes the position of a sweep that began at `start` in the local map, and its predictions.
@@ -128,7 +129,7 @@ impl OdometryPrior {
         self.trust.learn(&predicted.two, found);
         if is_sure && self.trust.works() {
             let moved = found.local_from_tracking.translation.vector - start;
-            self.calibration.learn(&predicted.told, &moved, found);
+            self.calibration.learn(&predicted.uncorrected, &moved, found);
         }
     }
 
@@ -159,14 +160,14 @@ impl OdometryPrior {
     }
 
     /// Whether there is odometry that sweeps contradict.
-    pub fn is_doubted(&self) -> bool {
+    pub fn is_contradicted(&self) -> bool {
         self.without.is_some() && !self.trust.works()
     }
 }
 
 impl OdometryPrediction {
     /// Whether the two motions differ significantly.
-    pub fn they_differ(&self) -> bool {
+    pub fn motions_differ(&self) -> bool {
         self.two.differ()
     }
 }

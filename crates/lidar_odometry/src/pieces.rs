@@ -17,12 +17,12 @@ const MOST_SAMPLES: usize = 20_000;
 
 /// Beginning of a new piece of map: sweeps no longer fitted the previous one.
 #[derive(Clone, Debug)]
-pub struct PieceBegun {
+pub struct NewPiece {
     /// End of the first sweep that did not fit.
     pub since: Time,
     /// Transform from the new local map to the old one, as if the platform had stayed at its last accepted
     /// pose.
-    pub ended_from_begun: Rigid3,
+    pub old_from_new: Rigid3,
     /// Planar voxel maps that were being filled, oldest first.
     pub maps: Vec<PlaneMap>,
 }
@@ -35,7 +35,7 @@ pub(crate) struct Recent {
     imu: VecDeque<ImuData>,
     odometry: VecDeque<OdometryData>,
     /// Pose of the last sweep that fitted.
-    last_sure: Rigid3,
+    last_confirmed: Rigid3,
 }
 
 /// Data to be registered once more, to an empty map.
@@ -68,7 +68,7 @@ impl Recent {
         while self.odometry.front().is_some_and(|pose| pose.time < begin) {
             self.odometry.pop_front();
         }
-        self.last_sure = sweep.local_from_tracking;
+        self.last_confirmed = sweep.local_from_tracking;
     }
 
     /// Gives the sweeps that were held back.
@@ -81,15 +81,15 @@ impl Recent {
     pub fn give_up_all_but(&mut self, newest: usize) -> Vec<RegisteredSweep> {
         let kept = self.held.split_off(self.held.len().saturating_sub(newest));
         let mut given_up = std::mem::replace(&mut self.held, kept);
-        given_up.iter_mut().for_each(|sweep| sweep.place_at(&self.last_sure));
+        given_up.iter_mut().for_each(|sweep| sweep.place_at(&self.last_confirmed));
         given_up
     }
 
     /// Transform from a local map that begins at the last sweep that fitted to the old one; both are
     /// level.
-    pub fn ended_from_begun(&self) -> Rigid3 {
-        let heading = quaternion_from_angle_axis(&(Vector3::z() * yaw(&self.last_sure.rotation)));
-        Rigid3::from_parts(self.last_sure.translation, heading)
+    pub fn old_from_new(&self) -> Rigid3 {
+        let heading = quaternion_from_angle_axis(&(Vector3::z() * yaw(&self.last_confirmed.rotation)));
+        Rigid3::from_parts(self.last_confirmed.translation, heading)
     }
 
     /// All data since the last sweep that fitted.
@@ -113,24 +113,24 @@ pub(crate) struct Attempts {
     /// Number of failures since a piece last went beyond its first sweeps.
     failed: u32,
     /// End of the first sweep of this piece.
-    begun_at: Option<Time>,
+    began_at: Option<Time>,
 }
 
 impl Attempts {
-    /// A piece has begun; its first sweep ended at this time.
-    pub fn begun(&mut self, end: Option<Time>) {
-        self.begun_at = end;
+    /// A piece begins; its first sweep ended at this time.
+    pub fn begin(&mut self, end: Option<Time>) {
+        self.began_at = end;
     }
 
-    /// A piece has ended. `has_succeeded`: it went beyond its first sweeps.
-    pub fn ended(&mut self, has_succeeded: bool) {
+    /// A piece ends. `has_succeeded`: it went beyond its first sweeps.
+    pub fn end(&mut self, has_succeeded: bool) {
         self.failed = if has_succeeded { 0 } else { self.failed.saturating_add(1) };
     }
 
     /// Whether the piece has lasted long enough.
     pub fn is_time_for_another(&self, end: Time, settings: &LossSettings) -> bool {
         let wait = settings.seconds * f64::from(self.failed.min(32)).exp2();
-        let age = self.begun_at.map_or(f64::MAX, |begun| end.seconds_since(begun));
+        let age = self.began_at.map_or(f64::MAX, |began| end.seconds_since(began));
         age >= wait.min(settings.longest_wait)
     }
 }

@@ -103,7 +103,7 @@ impl PlaneCell {
     }
 
     /// Adds a hit (Welford's update) seen from the direction `toward` (unit length, or zero if unknown),
-    /// and fits the plane anew, into `fit`, each time the number of hits has grown by a third.
+    /// and fits the plane again, into `fit`, each time the number of hits has grown by a third.
     #[inline]
     pub fn add(
         &mut self,
@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn flat_hits_make_a_plane_and_others_do_not() {
+    fn only_flat_hits_make_a_plane() {
         let mut flat = PlaneCell::new();
         let mut line = PlaneCell::new();
         let mut corner = PlaneCell::new();

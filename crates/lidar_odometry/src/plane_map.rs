@@ -183,14 +183,14 @@ impl PlaneMap {
             for (number, open) in numbers.iter_mut().zip(&open[..num_open]) {
                 *number = self.number_of(open, level).unwrap_or(NO_VOXEL);
             }
-            // A loop without branches, so that all these reads are under way at once.
+            // A loop without branches, so that all these reads are in flight at once.
             let mut counts = [0; BATCH];
             for (count, number) in counts.iter_mut().zip(&numbers[..num_open]) {
                 *count = self.cells.get(*number).map_or(0, |cell| cell.count);
             }
             let mut known = [None; BATCH];
             for k in (0..num_open).filter(|k| counts[*k] >= MAX_HITS) {
-                known[k] = Some(self.goes_past(numbers[k], &hits[usize::from(open[k].hit)]));
+                known[k] = Some(self.passes_to_smaller(numbers[k], &hits[usize::from(open[k].hit)]));
             }
             let mut still_open = 0;
             for k in 0..num_open {
@@ -199,8 +199,8 @@ impl PlaneMap {
                     number => number,
                 };
                 let hit = &hits[usize::from(open[k].hit)];
-                let goes_on = known[k].unwrap_or_else(|| self.goes_on(number, level, hit));
-                if goes_on && level + 1 < LEVELS && open[k].smallest.is_in_reach(level + 1) {
+                let continues = known[k].unwrap_or_else(|| self.add_hit(number, level, hit));
+                if continues && level + 1 < LEVELS && open[k].smallest.is_in_reach(level + 1) {
                     open[still_open] = Open { larger: number as u32, ..open[k] };
                     still_open += 1;
                 }
@@ -211,14 +211,14 @@ impl PlaneMap {
 
     /// Whether a hit in a voxel that no longer changes is also inserted into smaller ones.
     #[inline]
-    fn goes_past(&self, number: usize, hit: &Hit) -> bool {
+    fn passes_to_smaller(&self, number: usize, hit: &Hit) -> bool {
         let cell = &self.cells[number];
         !cell.is_settled(&self.settings) || cell.shows_other_side(&hit.toward, &self.settings)
     }
 
     /// Adds a hit to a voxel of a size. Gives whether it is also inserted into smaller ones.
     #[inline]
-    fn goes_on(&mut self, number: usize, level: u32, hit: &Hit) -> bool {
+    fn add_hit(&mut self, number: usize, level: u32, hit: &Hit) -> bool {
         let cell = &mut self.cells[number];
         let is_settled = cell.is_settled(&self.settings);
         // The other side of a floor or of a wall is a surface of its own.
@@ -376,7 +376,7 @@ mod tests {
     }
 
     #[test]
-    fn ground_that_looks_down_is_doubtful() {
+    fn ground_with_a_downward_normal_is_unreliable() {
         // A piece of ground 10 m away that falls away from the scanner with slope 0.25, seen from a height
         // of `eye`.
         let seen_from = |eye: f32| {
@@ -400,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_far_or_no_number_is_left_out() {
+    fn distant_and_non_finite_points_are_dropped() {
         let mut map = PlaneMap::new(f32::NAN);
         for v in [f32::NAN, f32::INFINITY, 1e30, -1e7] {
             map.insert(&Point3f::new(v, 0.0, 0.0));

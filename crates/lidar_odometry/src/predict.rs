@@ -9,7 +9,7 @@ use crate::inertial::InertialPrediction;
 use crate::odometry_prior::OdometryPrediction;
 use crate::segment::{MotionSource, TrajectorySegment};
 use crate::sweep_registration::RegisteredSegment;
-use crate::witness::Discrepancy;
+use crate::travel_correlation::Discrepancy;
 
 /// Prediction of the motion during a sweep.
 pub(crate) struct Prediction {
@@ -83,7 +83,7 @@ impl Registered {
 
 impl Prediction {
     /// Whether an IMU measures the translation: by a reliable accelerometer, or because it is at rest.
-    pub fn is_felt(&self) -> bool {
+    pub fn is_measured_by_imu(&self) -> bool {
         self.standing.is_some() || matches!(self.segment.source, MotionSource::Inertial { .. })
     }
 

@@ -329,7 +329,7 @@ impl Registration {
                 };
                 let counted = fraction * weight;
                 if let Some(reason) = plane.unreliable {
-                    // Ground with a downward normal does not feign a tilt: all of its weight is reliable
+                    // Ground with a downward normal causes no spurious tilt: all of its weight is reliable
                     // there.
                     let is_downward = reason == Unreliable::DownwardNormal;
                     let of_rotation = if is_downward { counted - weight } else { counted };

@@ -11,7 +11,7 @@ use crate::sweep::Sweep;
 
 /// Number of points of a sweep that identify it; using all of them would take as long as parts of the
 /// registration.
-const TELLING_POINTS: usize = 256;
+const FINGERPRINT_POINTS: usize = 256;
 
 /// Result of a sweep.
 pub(crate) struct Finding {
@@ -27,9 +27,9 @@ pub(crate) struct Finding {
 pub(crate) fn ask(question: &mut Fingerprint, sweep: &Sweep, segment: &TrajectorySegment) {
     question.add((sweep.end, sweep.points.len() as u64));
     question.add([segment.start(), segment.end()]);
-    let stride = (sweep.points.len() / TELLING_POINTS).max(1);
-    let telling = sweep.points.iter().step_by(stride);
-    question.add_f32s(telling.flat_map(|p| [p.time, p.position.x, p.position.y, p.position.z]));
+    let stride = (sweep.points.len() / FINGERPRINT_POINTS).max(1);
+    let sampled = sweep.points.iter().step_by(stride);
+    question.add_f32s(sampled.flat_map(|p| [p.time, p.position.x, p.position.y, p.position.z]));
 }
 
 impl Answer for Finding {

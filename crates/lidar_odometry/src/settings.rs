@@ -338,7 +338,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn defaults_lie_within_their_ranges_and_say_what_they_are() {
+    fn defaults_are_within_their_ranges_and_documented() {
         let settings = OdometrySettings::default();
         assert_eq!(settings.check(), Ok(()));
         let entries = settings.entries();

@@ -24,8 +24,8 @@ use portolan_numeric::probabilities;
 use crate::correlation::{Columns, CorrelationReference};
 use crate::settings::CorrelationSettings;
 use crate::settings::constants::shift_likelihood::{
-    CHANCE_REACH, FARTHEST_IN_TWO, LEAST_CHANCE, MET_AGAIN_PROBABILITY, MOVING_PROBABILITY, OBJECT_EDGE,
-    REACH_SIGMAS, STEPS_PER_CELL, TOLD_VARIANCE_FRACTION,
+    CHANCE_REACH, FARTHEST_IN_TWO, LEAST_CHANCE, MEASURED_VARIANCE_FRACTION, MET_AGAIN_PROBABILITY,
+    MOVING_PROBABILITY, OBJECT_EDGE, REACH_SIGMAS, STEPS_PER_CELL,
 };
 use crate::sight::Sight;
 
@@ -68,8 +68,8 @@ impl CorrelationSettings {
 
     /// Whether a shift counts as measured, whose standard deviation was `before` and is `now`, metres:
     /// clearly smaller than before, and less than a cell.
-    pub fn is_told(&self, before: f64, now: f64) -> bool {
-        now * now <= TOLD_VARIANCE_FRACTION * before * before && now <= f64::from(self.cell)
+    pub fn is_measured(&self, before: f64, now: f64) -> bool {
+        now * now <= MEASURED_VARIANCE_FRACTION * before * before && now <= f64::from(self.cell)
     }
 
     /// The factor by which a shift is shrunk for its systematic error (James and Stein, "Estimation with quadratic loss", 1961).
@@ -279,30 +279,30 @@ mod tests {
     }
 
     /// Posterior of the shift if both sets are assumed to be seen from x = 0, but the second one was seen
-    /// from x = `way`.
-    fn told(way: f32, posts: &[f32]) -> Posterior {
+    /// from x = `moved`.
+    fn estimated(moved: f32, posts: &[f32]) -> Posterior {
         let settings = CorrelationSettings::default();
         let reference = CorrelationReference::new(&road(0.0, posts), &settings);
         let after: Vec<Point3f> =
-            road(way, posts).iter().map(|p| Point3f::new(p.x - way, p.y, p.z)).collect();
+            road(moved, posts).iter().map(|p| Point3f::new(p.x - moved, p.y, p.z)).collect();
         let along = [na::Vector2::x()];
         reference.posterior(&Vector3::zeros(), &after, &along, SIGMA, 10.0).unwrap()
     }
 
     #[test]
-    fn posts_tell_the_way_along_a_road() {
-        let found = told(1.4, &[-22.2, -14.9, -9.4, -3.7, 3.1, 7.2, 11.7, 18.4, 26.2]);
+    fn posts_constrain_the_shift_along_a_road() {
+        let found = estimated(1.4, &[-22.2, -14.9, -9.4, -3.7, 3.1, 7.2, 11.7, 18.4, 26.2]);
         assert!((found.shift.x - 1.4).abs() < RESOLUTION && found.remaining_variance < 0.5, "{found:?}");
     }
 
     #[test]
-    fn guard_rails_do_not_though_they_are_met_most_where_the_scanner_was() {
-        let found = told(1.4, &[]);
+    fn guard_rails_do_not_constrain_the_shift_along_a_road() {
+        let found = estimated(1.4, &[]);
         assert!(found.shift.x.abs() < 0.1 && found.remaining_variance > 0.9, "{found:?}");
     }
 
     #[test]
-    fn both_directions_are_told_by_trees_and_none_by_nothing() {
+    fn trees_constrain_both_directions_and_empty_sets_none() {
         let settings = CorrelationSettings::default();
         let trees =
             [(3.1, 7.2), (-8.3, 2.4), (12.2, -6.4), (-4.1, -9.2), (7.7, -2.3), (-13.4, 11.1), (1.3, -15.2)];

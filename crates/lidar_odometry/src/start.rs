@@ -5,11 +5,11 @@ use portolan_geometry::{Duration, Vector3, to_f32};
 use portolan_recall::Memory;
 use portolan_sensor::RangeData;
 
-use crate::belief::PoseBelief;
 use crate::hypotheses::{self, Other};
 use crate::initialise::{FirstSweeps, RotationAt, Start};
 use crate::issues::Issues;
 use crate::motion_state::MotionState;
+use crate::pose_status::PoseStatus;
 use crate::settings::OdometrySettings;
 use crate::settings::constants::initialise::VELOCITY_CORRECTIONS;
 use crate::start_velocity::FirstSweepsPlaced;
@@ -24,8 +24,8 @@ pub(crate) struct FirstMotion {
     hypotheses: Vec<Start>,
 }
 
-/// A trajectory that has begun.
-pub(crate) struct Begun {
+/// A trajectory that has started.
+pub(crate) struct StartedTrajectory {
     pub tracker: Tracker,
     /// The first sweep, and those after it that are already registered.
     pub registered: Vec<RegisteredSweep>,
@@ -46,7 +46,7 @@ struct Trial<'a> {
 /// A hypothesis with which sweeps were tracked.
 struct Judged {
     start: Start,
-    begun: Begun,
+    started: StartedTrajectory,
     /// Total fit of the sweeps.
     fit: f64,
 }
@@ -64,7 +64,7 @@ impl FirstMotion {
         memory: &Memory,
         sweeps: &[Sweep],
         is_ended: bool,
-    ) -> Option<Begun> {
+    ) -> Option<StartedTrajectory> {
         let (first, second) = (sweeps.first()?, sweeps.get(1));
         if second.is_none() && !is_ended {
             return None;
@@ -96,16 +96,16 @@ fn directions(tracker: &Tracker, velocity: na::Vector2<f64>) -> Vec<na::Vector2<
 }
 
 impl Trial<'_> {
-    fn begin(&self, start: Start) -> Begun {
+    fn begin(&self, start: Start) -> StartedTrajectory {
         let (mut tracker, registered) =
             Tracker::begin(self.settings, self.motion.clone(), self.first.clone(), start);
         tracker.remember_with(self.memory);
-        Begun { tracker, registered: vec![registered], issues: Issues::default() }
+        StartedTrajectory { tracker, registered: vec![registered], issues: Issues::default() }
     }
 
     /// Begins with the hypothesis under which the sweeps fit best; the likeliest one is that under which
     /// the first two fit best.
-    fn best(&self, likeliest: Start, others: &[Start]) -> Begun {
+    fn best(&self, likeliest: Start, others: &[Start]) -> StartedTrajectory {
         let Some(first) = self.judged(likeliest, f64::NEG_INFINITY) else { return self.begin(likeliest) };
         let clearly_better = self.settings.hypotheses.better_over_sweeps;
         let others = others.iter().map(|start| Other { motion: *start, clearly_better });
@@ -115,13 +115,13 @@ impl Trial<'_> {
             let Some(corrected) = self.corrected(&best) else { break };
             best = corrected;
         }
-        if self.is_final(&best.begun) { self.with_clouds(best.begun) } else { self.begin(best.start) }
+        if self.is_final(&best.started) { self.with_clouds(best.started) } else { self.begin(best.start) }
     }
 
     /// Begins with another velocity along a degenerate direction, if all sweeps together determine it, and
     /// fit about as well then.
     fn corrected(&self, judged: &Judged) -> Option<Judged> {
-        let Begun { tracker, registered, .. } = &judged.begun;
+        let StartedTrajectory { tracker, registered, .. } = &judged.started;
         if registered.iter().any(|sweep| sweep.observability.translation_is_measured) {
             return None;
         }
@@ -136,29 +136,29 @@ impl Trial<'_> {
     /// Tracks the sweeps from a start; none if they do not fit better than `least`. Of their clouds only
     /// those are kept that cannot be recomputed.
     fn judged(&self, start: Start, least: f64) -> Option<Judged> {
-        let Begun { mut tracker, mut registered, mut issues } = self.begin(start);
+        let StartedTrajectory { mut tracker, mut registered, mut issues } = self.begin(start);
         let fit = tracker.fit_better(least, None, self.judges, &mut issues, |mut judge| {
             (judge.sweep.points, judge.in_local) = (Vec::new(), RangeData::default());
             registered.push(judge);
         })?;
-        Some(Judged { start, begun: Begun { tracker, registered, issues }, fit })
+        Some(Judged { start, started: StartedTrajectory { tracker, registered, issues }, fit })
     }
 
-    fn with_clouds(&self, mut begun: Begun) -> Begun {
-        for (registered, judge) in begun.registered.iter_mut().skip(1).zip(self.judges) {
+    fn with_clouds(&self, mut started: StartedTrajectory) -> StartedTrajectory {
+        for (registered, judge) in started.registered.iter_mut().skip(1).zip(self.judges) {
             registered.sweep.points.clone_from(&judge.points);
             registered.in_local = registered.deskewed.transformed(&to_f32(&registered.local_from_tracking));
         }
-        begun
+        started
     }
 
     /// Whether the poses of the sweeps would be the same if they were registered one by one, with a
     /// fallback map: they would if each of them fits, and none comes after a gap.
-    fn is_final(&self, begun: &Begun) -> bool {
-        let fits = |sweep: &RegisteredSweep| sweep.belief == PoseBelief::Sure && sweep.fit > 0.0;
+    fn is_final(&self, started: &StartedTrajectory) -> bool {
+        let fits = |sweep: &RegisteredSweep| sweep.status == PoseStatus::Confirmed && sweep.fit > 0.0;
         let gap = Duration::from_seconds(self.settings.hypotheses.long_gap);
-        let ends = begun.registered.iter().map(|registered| registered.sweep.end);
+        let ends = started.registered.iter().map(|registered| registered.sweep.end);
         let follow_closely = ends.clone().zip(ends.skip(1)).all(|(before, end)| end - before <= gap);
-        follow_closely && begun.registered.iter().skip(1).all(fits)
+        follow_closely && started.registered.iter().skip(1).all(fits)
     }
 }

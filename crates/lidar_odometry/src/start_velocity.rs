@@ -58,7 +58,7 @@ struct Pair {
 }
 
 impl<'a> FirstSweepsPlaced<'a> {
-    /// Uses the sweeps within the span of the travel witness only, since velocities change.
+    /// Uses the sweeps within the span of the travel correlation only, since velocities change.
     pub fn new(registered: &[RegisteredSweep], settings: &'a OdometrySettings) -> Self {
         let first_end = registered.first().map(|first| first.sweep.end);
         let seconds =
@@ -95,11 +95,12 @@ impl<'a> FirstSweepsPlaced<'a> {
         let mean = |value: &dyn Fn(&Motion) -> f64| -> f64 {
             motions.iter().zip(&probabilities).map(|(motion, probability)| probability * value(motion)).sum()
         };
-        let way = mean(&|motion| motion.way(seconds));
-        let variance = mean(&|motion| (motion.way(seconds) - way).powi(2));
+        let displacement = mean(&|motion| motion.displacement(seconds));
+        let variance = mean(&|motion| (motion.displacement(seconds) - displacement).powi(2));
         let velocity = mean(&|motion| motion.velocity);
-        let is_told = correlation.is_told(sigmas.spread(0.0, seconds), variance.sqrt());
-        (is_told && way.abs() >= correlation.resolution()).then(|| velocity * correlation.shrinkage(way))
+        let is_measured = correlation.is_measured(sigmas.spread(0.0, seconds), variance.sqrt());
+        (is_measured && displacement.abs() >= correlation.resolution())
+            .then(|| velocity * correlation.shrinkage(displacement))
     }
 
     /// Likelihoods of the shifts between all pairs of sweeps. Those of one sweep and several earlier ones
@@ -163,7 +164,7 @@ fn motions(sigmas: &Motion, velocity_step: f64) -> Vec<Motion> {
 
 impl Motion {
     /// Displacement until a time, seconds after the first sweep, metres.
-    fn way(&self, seconds: f64) -> f64 {
+    fn displacement(&self, seconds: f64) -> f64 {
         self.velocity * seconds + 0.5 * self.acceleration * seconds * seconds
     }
 
@@ -181,7 +182,7 @@ impl Motion {
 impl Pair {
     /// The log-likelihood of a motion. A shift outside the tested range has that of most shifts.
     fn log_of(&self, motion: &Motion) -> f64 {
-        let shift = motion.way(self.to) - motion.way(self.from);
+        let shift = motion.displacement(self.to) - motion.displacement(self.from);
         let at = shift / self.step + self.middle;
         let log = |i: f64| (i >= 0.0).then(|| self.logs.get(i as usize)).flatten();
         match (log(at.floor()), log(at.floor() + 1.0)) {
@@ -201,18 +202,18 @@ mod tests {
 
     /// Estimated error of the assumed velocity of a car that drove along x at 15 m/s and accelerated, from
     /// the first ten sweeps. Posts stand beside the road, a guard rail is seen up to 40 m ahead and
-    /// behind, and another car stays beside this one.
-    fn told(believed: f64, acceleration: f64, posts: &[f64]) -> Option<f64> {
+    /// behind, and another car remains beside this one.
+    fn estimated_error(assumed: f64, acceleration: f64, posts: &[f64]) -> Option<f64> {
         let settings = OdometrySettings::default();
         let place = |velocity: f64, seconds: f64| Vector3::x() * velocity * seconds;
-        let way = |seconds: f64| 15.0 * seconds + 0.5 * acceleration * seconds * seconds;
-        let last = place(believed, 0.9);
+        let moved = |seconds: f64| 15.0 * seconds + 0.5 * acceleration * seconds * seconds;
+        let last = place(assumed, 0.9);
         let sweeps = (0..10).map(|i| {
             let seconds = 0.1 * f64::from(i);
             let rail = (-100..=100).map(|i| (0.4 * f64::from(i), -4.0));
-            let posts = posts.iter().map(|x| (x - way(seconds), 6.1)).filter(|(x, _)| x.abs() < 50.0);
+            let posts = posts.iter().map(|x| (x - moved(seconds), 6.1)).filter(|(x, _)| x.abs() < 50.0);
             let car = (0..5).flat_map(|i| [3.0, 4.6].map(|y| (8.1 + 0.9 * f64::from(i), y)));
-            let from = place(believed, seconds);
+            let from = place(assumed, seconds);
             let points: Vec<Point3f> =
                 rail.chain(posts).chain(car).flat_map(|(x, y)| column(x + from.x, y)).collect();
             PlacedSweep::new(seconds, &from, &points, &last, &settings)
@@ -224,17 +225,17 @@ mod tests {
     const POSTS: [f64; 11] = [-43.7, -38.1, -29.2, -20.4, -6.7, 4.9, 17.2, 25.9, 31.8, 42.3, 57.6];
 
     #[test]
-    fn a_wrong_velocity_is_told_by_posts() {
-        for (believed, acceleration) in [(12.0, 0.0), (18.5, 0.0), (13.5, -2.0)] {
-            let error = told(believed, acceleration, &POSTS).unwrap();
-            assert!((believed + error - 15.0).abs() < 0.6, "{believed} {acceleration}: {error}");
+    fn posts_reveal_a_wrong_velocity() {
+        for (assumed, acceleration) in [(12.0, 0.0), (18.5, 0.0), (13.5, -2.0)] {
+            let error = estimated_error(assumed, acceleration, &POSTS).unwrap();
+            assert!((assumed + error - 15.0).abs() < 0.6, "{assumed} {acceleration}: {error}");
         }
     }
 
     #[test]
-    fn what_is_right_or_not_told_stays() {
-        assert_eq!(told(15.0, 0.0, &POSTS), None);
+    fn correct_and_unconstrained_velocities_are_kept() {
+        assert_eq!(estimated_error(15.0, 0.0, &POSTS), None);
         // A guard rail alone, and a car that drives as fast as this one.
-        assert_eq!(told(12.0, 0.0, &[]), None);
+        assert_eq!(estimated_error(12.0, 0.0, &[]), None);
     }
 }

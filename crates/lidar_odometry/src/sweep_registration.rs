@@ -4,12 +4,12 @@
 use portolan_geometry::{Rigid3, Vector3};
 use portolan_sensor::{TimedPoint, voxel_filter_indices};
 
-use crate::belief::SweepFit;
 use crate::deskew::PiecewiseLinearTrajectory;
 use crate::innovations::Innovations;
 use crate::odometry_prior::MeasuredPlace;
 use crate::plane_map::PlaneMap;
 use crate::poles::PolesToRegister;
+use crate::pose_status::SweepFit;
 use crate::predict::{Reason, Registered};
 use crate::registration::{MotionPrior, Registration, RegistrationResult, Sigmas};
 use crate::segment::{MotionSource, SegmentCorrection, TrajectorySegment};
@@ -234,7 +234,7 @@ impl SweepRegistration {
         let of_prior = start.translation.powi(2) + growth.translation.powi(2);
         let mut local_from_tracking = registered.local_from_tracking;
         let correction = local_from_tracking.translation.vector - segment.end().translation.vector;
-        let mut told = Vec::new();
+        let mut constrained = Vec::new();
         let eigen = covariance.symmetric_eigen();
         for (direction, &variance) in eigen.eigenvectors.column_iter().zip(&eigen.eigenvalues) {
             if variance > of_prior {
@@ -244,9 +244,9 @@ impl SweepRegistration {
             // The result of a wide search is not held by a prior.
             let held = if *reason == Some(Reason::OtherMotion) { 0.0 } else { variance / of_prior };
             local_from_tracking.translation.vector += direction * (held * direction.dot(&correction));
-            told.push((direction, variance));
+            constrained.push((direction, variance));
         }
-        Some(MeasuredPlace { local_from_tracking, covariance, of_prior, told })
+        Some(MeasuredPlace { local_from_tracking, covariance, of_prior, constrained })
     }
 
     /// Prior of a predicted segment: the assumed standard deviations, smaller where recent rotations were

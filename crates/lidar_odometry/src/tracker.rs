@@ -11,7 +11,6 @@ use portolan_motion::{DegenerateInterval, DegenerateIntervals, Observability};
 use portolan_recall::{Fingerprint, Memory};
 use portolan_sensor::{PointCloud, RangeData};
 
-use crate::belief::{FitMonitor, PoseBelief, Support};
 use crate::deskew::deskewed;
 use crate::gap::{GapMotion, Velocities};
 use crate::initialise::{FirstSweeps, RotationAt, Start};
@@ -19,16 +18,17 @@ use crate::issues::{Issue, Issues};
 use crate::keyframes::{Candidate, Decision, KeyframePolicy};
 use crate::local_map::LocalMap;
 use crate::motion_state::{MotionState, SweepEnd};
-use crate::pieces::PieceBegun;
+use crate::pieces::NewPiece;
 use crate::plane_map::PlaneMap;
 use crate::poles::{RecentPoles, SeenPoles};
+use crate::pose_status::{FitMonitor, PoseStatus, Support};
 use crate::predict::{Prediction, Registered};
 use crate::segment::{MotionSource, TrajectorySegment};
 use crate::settings::OdometrySettings;
 use crate::settings::constants::initialise::VELOCITY_INTERVAL;
 use crate::sweep::Sweep;
 use crate::sweep_registration::SweepRegistration;
-use crate::witness::TravelWitness;
+use crate::travel_correlation::TravelCorrelation;
 use finding::Found;
 
 /// A registered sweep.
@@ -49,8 +49,8 @@ pub struct RegisteredSweep {
     /// Additional data if it is a key frame.
     pub keyframe: Option<Keyframe>,
     /// Present where the pose was lost before this sweep, which begins a new piece of map.
-    pub begun: Option<PieceBegun>,
-    pub(crate) belief: PoseBelief,
+    pub new_piece: Option<NewPiece>,
+    pub(crate) status: PoseStatus,
     /// Fit to the map.
     pub(crate) fit: f64,
     /// Fit of the points that constrain the motion.
@@ -92,7 +92,7 @@ pub(crate) struct Tracker {
     registration: SweepRegistration,
     local_map: LocalMap,
     poles: RecentPoles,
-    witness: TravelWitness,
+    travel_correlation: TravelCorrelation,
     keyframes: KeyframePolicy,
     intervals: DegenerateIntervals,
     fits: FitMonitor,
@@ -152,7 +152,7 @@ impl Tracker {
             registration: SweepRegistration::new(settings),
             local_map: LocalMap::new(settings, &registered.in_local, registered.local_from_gravity()),
             poles: RecentPoles::new(&settings.poles),
-            witness: TravelWitness::new(settings),
+            travel_correlation: TravelCorrelation::new(settings),
             keyframes,
             intervals: settings.degenerate_intervals(),
             fits: FitMonitor::new(&settings.loss),
@@ -168,7 +168,7 @@ impl Tracker {
 
     /// Horizontal degenerate translations of the last sweep by planes, in the local map, orthonormal.
     pub fn open_horizontally(&self) -> Vec<nalgebra::Vector2<f64>> {
-        self.witness.horizontal_directions()
+        self.travel_correlation.horizontal_directions()
     }
 
     /// A copy of the tracker for trials.
@@ -228,7 +228,7 @@ impl Tracker {
         // 3. Compare its fit with those of the sweeps before it.
         let is_measured = best.segment.source != MotionSource::ConstantVelocity;
         let support = Support { fit: best.registered.sweep_fit(), is_measured };
-        let belief = self.fits.after(sweep.end, support, self.is_warming_up());
+        let status = self.fits.after(sweep.end, support, self.is_warming_up());
         // 4. Report directions that the sweep does not constrain.
         let observability = self.observability(sweep.end, &best, prediction.standing.is_some(), issues);
         // 5. De-skew with the registered motion.
@@ -237,8 +237,8 @@ impl Tracker {
         let place = self.place(sweep.end, &best, &deskewed, fallback);
         let measured = self.registration.measured_place(&best, &self.local_map.older().local_from_map);
         // 7. Correct the inertial filter and the extrapolator.
-        let tells_rotation =
-            best.registered.found.is_some() && belief == PoseBelief::Sure && !self.is_warming_up();
+        let measures_rotation =
+            best.registered.found.is_some() && status == PoseStatus::Confirmed && !self.is_warming_up();
         let end = SweepEnd {
             time: sweep.end,
             local_from_tracking: &place.local_from_tracking,
@@ -246,23 +246,23 @@ impl Tracker {
             attenuation: place.attenuation,
             measured: measured.as_ref(),
             is_standing: place.is_standing,
-            tells_rotation: place.is_standing || tells_rotation,
+            measures_rotation: place.is_standing || measures_rotation,
             velocities,
         };
         let inertial = prediction.inertial.as_ref().filter(|_| best.reason.is_none());
         let gravity = self.motion.update(&prediction, inertial, &end);
-        if prediction.odometry.is_some() && self.motion.doubts_odometry() {
+        if prediction.odometry.is_some() && self.motion.odometry_is_contradicted() {
             issues.count(Issue::OdometryOverruled);
         }
         // 8. Insert the sweep into the map, as a key frame or not; not if it contradicts the map.
         let mut result = RegisteredSweep {
             observability,
-            belief,
+            status,
             fit: best.registered.fit,
             evidence: best.registered.evidence,
             ..RegisteredSweep::new(sweep, place.local_from_tracking, gravity, deskewed)
         };
-        if belief == PoseBelief::Sure {
+        if status == PoseStatus::Confirmed {
             self.show(&mut result, poles, place.is_standing, best.segment.rotation_is_measured());
         } else {
             issues.count(Issue::ContradictsMap);
@@ -277,7 +277,7 @@ impl Tracker {
             None => self.motion.predict(sweep.end),
         };
         self.last_interval = prediction.segment.seconds();
-        match self.witness.hear(sweep, &prediction.segment) {
+        match self.travel_correlation.measure(sweep, &prediction.segment) {
             Some(discrepancy) => prediction.corrected(&discrepancy),
             None => (prediction, gap.map(|motion| motion.after)),
         }
@@ -328,7 +328,7 @@ impl Tracker {
             && (!segment.rotation_is_measured() || is_long)
     }
 
-    /// Inserts a sweep that fits into map, poles and travel witness.
+    /// Inserts a sweep that fits into map, poles and travel correlation.
     fn show(
         &mut self,
         registered: &mut RegisteredSweep,
@@ -346,7 +346,7 @@ impl Tracker {
         self.last_fitting = Arc::new(registered.in_local.returns.points.clone());
         self.insert(registered, is_standing, is_wanted);
         let place = &registered.local_from_tracking.translation.vector;
-        self.witness.add(end, &registered.in_local.returns.points, place);
+        self.travel_correlation.add(end, &registered.in_local.returns.points, place);
     }
 
     /// Inserts the last sweep into the map, as a key frame if it is one.
@@ -413,8 +413,8 @@ impl RegisteredSweep {
             deskewed,
             observability: Observability::default(),
             keyframe: None,
-            begun: None,
-            belief: PoseBelief::Sure,
+            new_piece: None,
+            status: PoseStatus::Confirmed,
             fit: 0.0,
             evidence: 0.0,
         }

@@ -8,13 +8,13 @@ use crate::settings::VerticalSettings;
 use crate::settings::constants::vertical::{CANDIDATES, LEAST_PLANES, WALL_WEIGHT};
 
 /// The direction in the frame of the planes that is normal to floors and ceilings and perpendicular to the
-/// normals of walls, near `believed` (unit vectors). None if the planes do not determine it.
+/// normals of walls, near `assumed` (unit vectors). None if the planes do not determine it.
 ///
 /// It minimises `Σ_walls w (n·u)² − Σ_floors w (n·u)²`, whose minimum is an eigenvector, with walls and
-/// floors selected anew within narrowing tolerances.
+/// floors selected again within narrowing tolerances.
 pub(crate) fn vertical_from_planes(
     map: &PlaneMap,
-    believed: &Vector3,
+    assumed: &Vector3,
     settings: &VerticalSettings,
 ) -> Option<Vector3> {
     let planes: Vec<(Vector3, f64)> = map
@@ -25,7 +25,7 @@ pub(crate) fn vertical_from_planes(
     if total < LEAST_PLANES * f64::from(settings.max_hits_per_plane) {
         return None;
     }
-    let mut up = best_start(&planes, believed, settings)?;
+    let mut up = best_start(&planes, assumed, settings)?;
     let mut fraction = 0.0;
     for tolerance in settings.tolerances {
         let mut sum = na::Matrix3::zeros();
@@ -45,12 +45,12 @@ pub(crate) fn vertical_from_planes(
         up = vector * vector.dot(&up).signum();
         fraction = used / total;
     }
-    (fraction >= settings.min_fraction && up.dot(believed) > settings.max_tilt.cos()).then_some(up)
+    (fraction >= settings.min_fraction && up.dot(assumed) > settings.max_tilt.cos()).then_some(up)
 }
 
 /// The assumed direction, or the normal near it, that most planes agree with.
-fn best_start(planes: &[(Vector3, f64)], believed: &Vector3, settings: &VerticalSettings) -> Option<Vector3> {
-    let believed = believed.try_normalize(1e-9)?;
+fn best_start(planes: &[(Vector3, f64)], assumed: &Vector3, settings: &VerticalSettings) -> Option<Vector3> {
+    let assumed = assumed.try_normalize(1e-9)?;
     let tolerance = *settings.tolerances.first()?;
     let agreement = |up: &Vector3| -> f64 {
         let part = |(normal, weight): &(Vector3, f64)| {
@@ -65,11 +65,11 @@ fn best_start(planes: &[(Vector3, f64)], believed: &Vector3, settings: &Vertical
         };
         planes.iter().map(part).sum()
     };
-    let mut best = (agreement(&believed), believed);
+    let mut best = (agreement(&assumed), assumed);
     let stride = planes.len().div_ceil(CANDIDATES).max(1);
     for (normal, _) in planes.iter().step_by(stride) {
-        let candidate = normal * normal.dot(&believed).signum();
-        if candidate.dot(&believed) > settings.max_tilt.cos() {
+        let candidate = normal * normal.dot(&assumed).signum();
+        if candidate.dot(&assumed) > settings.max_tilt.cos() {
             let found = agreement(&candidate);
             if found > best.0 {
                 best = (found, candidate);
@@ -85,7 +85,7 @@ mod tests {
     use portolan_geometry::{Point3f, rotation_from_roll_pitch_yaw};
 
     #[test]
-    fn a_tilted_room_tells_where_up_is() {
+    fn vertical_of_a_tilted_room_is_estimated() {
         let tilt = rotation_from_roll_pitch_yaw(0.1, -0.2, 0.7);
         let mut map = PlaneMap::new(1.0);
         let mut add = |x: f64, y: f64, z: f64| {

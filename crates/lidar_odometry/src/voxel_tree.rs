@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn voxels_lie_in_larger_ones() {
+    fn voxels_are_children_of_larger_ones() {
         let mut tree = VoxelTree::with_capacity(0);
         let (one, other) = (place(4000.0, 4000.0, 4001.5), place(4003.0, 4001.0, 4001.5));
         assert_eq!(tree.largest(one), None);
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn voxels_know_where_they_are() {
+    fn places_of_voxels_are_restored() {
         let mut tree = VoxelTree::with_capacity(0);
         let one = place(4003.0, 4001.0, 4002.0);
         let largest = tree.add_largest(one);
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn small_voxels_reach_less_far() {
+    fn smaller_voxels_have_a_shorter_reach() {
         let at = |x: f32| [0, 1, 2].map(|level| place(x, 4096.0, 4096.0).is_in_reach(level));
         assert_eq!([at(4096.0), at(4096.0 + 1030.0)], [[true; 3], [true, true, false]]);
         assert_eq!([at(4096.0 - 2050.0), at(8191.0)], [[true, false, false]; 2]);
@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_in_an_unwanted_voxel_is_not_kept() {
+    fn children_of_removed_voxels_are_removed() {
         let mut tree = VoxelTree::with_capacity(0);
         let places = [place(10.0, 10.0, 10.0), place(500.0, 10.0, 10.0)];
         for place in places {

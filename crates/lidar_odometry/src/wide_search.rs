@@ -6,9 +6,9 @@
 
 use portolan_geometry::{Point3f, Rigid3, Vector3, quaternion_from_angle_axis, to_f32};
 
-use crate::belief::FitMonitor;
 use crate::correlation::{CorrelationReference, Peak, Window, upright};
 use crate::hypotheses::{self, Other};
+use crate::pose_status::FitMonitor;
 use crate::predict::{Prediction, Reason, Registered};
 use crate::segment::{SegmentCorrection, TrajectorySegment};
 use crate::settings::{CorrelationSettings, OdometrySettings};

@@ -72,7 +72,7 @@ fn follow(odometry: &mut LidarOdometry, with_imu: bool) -> (Vec<RegisteredSweep>
 }
 
 #[test]
-fn rotations_stay_of_length_one_over_many_maps() {
+fn rotations_remain_normalized_over_many_maps() {
     let mut settings = OdometrySettings::default();
     // A map with every other sweep: as many as in a quarter of an hour.
     settings.local_map.keyframes_per_half = 1;
@@ -165,7 +165,7 @@ impl Fallback for Elsewhere {
 }
 
 #[test]
-fn where_no_plane_fits_another_map_is_asked() {
+fn the_fallback_map_locates_sweeps_that_fit_no_plane() {
     let mut odometry = LidarOdometry::new(OdometrySettings::default());
     follow(&mut odometry, false);
     // Far from everything.
@@ -198,7 +198,7 @@ fn hall() -> Vector3 {
     Vector3::new(14.0, 7.0, 2.6)
 }
 
-/// Three seconds in the room, then three in the hall, as if somebody had carried the lidar there with a lid on it.
+/// Three seconds in the room, then three in the hall, as if the lidar had been carried there, covered.
 fn carried(odometry: &mut LidarOdometry, with_imu: bool) -> Vec<RegisteredSweep> {
     let elsewhere = Rigid3::new(Vector3::new(6.0, -3.0, 0.4), Vector3::z() * 1.1);
     let mut registered = Vec::new();
@@ -222,11 +222,11 @@ fn a_lidar_that_was_carried_elsewhere_begins_a_new_piece_of_map() {
         // No sweep is lost, and none comes twice.
         let ends: Vec<Time> = registered.iter().map(|r| r.sweep.end).collect();
         assert_eq!(ends, (1..=60).map(|i| at(0.1 * f64::from(i))).collect::<Vec<_>>(), "{with_imu}");
-        let begun: Vec<usize> = (0..60).filter(|i| registered[*i].begun.is_some()).collect();
+        let begun: Vec<usize> = (0..60).filter(|i| registered[*i].new_piece.is_some()).collect();
         assert_eq!(begun, [30], "{with_imu}");
-        let piece = registered[30].begun.as_ref().unwrap();
+        let piece = registered[30].new_piece.as_ref().unwrap();
         let last = registered[29].local_from_tracking;
-        let error = piece.ended_from_begun.translation.vector - last.translation.vector;
+        let error = piece.old_from_new.translation.vector - last.translation.vector;
         assert!(piece.since == at(3.1) && error.norm() < 1e-9 && piece.maps.len() == 1, "{piece:?}");
         assert!(registered[30].keyframe.is_some());
         for (i, result) in registered.iter().enumerate().skip(31) {
@@ -251,7 +251,7 @@ fn covered(end: f64) -> Sweep {
 }
 
 #[test]
-fn sweeps_of_a_covered_lidar_are_left_out() {
+fn sweeps_of_a_covered_lidar_are_dropped() {
     for with_imu in [true, false] {
         let mut odometry = LidarOdometry::new(OdometrySettings::default());
         let mut registered = Vec::new();
@@ -267,7 +267,7 @@ fn sweeps_of_a_covered_lidar_are_left_out() {
         odometry.end();
         registered.extend(std::iter::from_fn(|| odometry.advance(None)));
         assert_eq!((registered.len(), odometry.issues().of(Issue::PlaceHidden)), (50, 10), "{with_imu}");
-        assert!(registered.iter().all(|r| r.begun.is_none()), "{with_imu}");
+        assert!(registered.iter().all(|r| r.new_piece.is_none()), "{with_imu}");
         let [first, last] = [&registered[0], &registered[49]];
         let moved = first.local_from_tracking.inverse() * last.local_from_tracking;
         let error = (truth(0.1).inverse() * truth(6.0)).inverse() * moved;
@@ -276,7 +276,7 @@ fn sweeps_of_a_covered_lidar_are_left_out() {
 }
 
 #[test]
-fn a_small_place_is_a_place_after_some_seconds() {
+fn a_small_room_begins_a_new_piece_after_some_seconds() {
     let mut odometry = LidarOdometry::new(OdometrySettings::default());
     follow(&mut odometry, false);
     let mut registered = Vec::new();
@@ -285,11 +285,11 @@ fn a_small_place_is_a_place_after_some_seconds() {
         registered.extend(odometry.register(&closet, &[]).unwrap());
     }
     assert_eq!(odometry.issues().of(Issue::PlaceHidden), 51);
-    assert!(registered.iter().any(|r| r.begun.is_some()));
+    assert!(registered.iter().any(|r| r.new_piece.is_some()));
 }
 
 #[test]
-fn a_recording_that_ends_in_doubt_loses_no_sweep() {
+fn a_recording_that_ends_with_suspect_sweeps_keeps_them_all() {
     let mut odometry = LidarOdometry::new(OdometrySettings::default());
     let mut registered = follow(&mut odometry, false).0;
     for i in 31..=34 {
@@ -300,11 +300,11 @@ fn a_recording_that_ends_in_doubt_loses_no_sweep() {
     odometry.end();
     registered.extend(std::iter::from_fn(|| odometry.advance(None)));
     assert_eq!(registered.len(), 34);
-    assert!(registered[30..].iter().all(|r| r.keyframe.is_none() && r.begun.is_none()));
+    assert!(registered[30..].iter().all(|r| r.keyframe.is_none() && r.new_piece.is_none()));
 }
 
 #[test]
-fn a_lidar_that_was_pushed_is_found_in_its_map() {
+fn a_pushed_lidar_is_located_in_its_map() {
     let mut odometry = LidarOdometry::new(OdometrySettings::default());
     let registered = follow(&mut odometry, false).0;
     // As far as a push takes it within 0.1 s.
@@ -313,6 +313,6 @@ fn a_lidar_that_was_pushed_is_found_in_its_map() {
         let found = odometry.register(&sweep(end, &pushed, room()), &[]).unwrap().pop().unwrap();
         let moved = registered[29].local_from_tracking.inverse() * found.local_from_tracking;
         let error = (truth(3.0).inverse() * pushed).inverse() * moved;
-        assert!(error.translation.vector.norm() < 0.04 && found.begun.is_none(), "{end}: {error}");
+        assert!(error.translation.vector.norm() < 0.04 && found.new_piece.is_none(), "{end}: {error}");
     }
 }

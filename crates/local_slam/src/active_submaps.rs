@@ -15,7 +15,7 @@ pub struct ActiveSubmaps<S: LocalSlamSpace> {
     next_index: u32,
     scans_per_half: u32,
     /// Distance travelled after which a submap of sparse scans is half full, too, metres.
-    way_per_half: f64,
+    distance_per_half: f64,
     last_origin: Option<Point3f>,
     refused: u64,
     without_submap: u64,
@@ -29,7 +29,7 @@ struct ActiveSubmap<S: LocalSlamSpace> {
     index: u32,
     submap: S::Submap,
     /// Distance travelled since its first scan, metres.
-    way: f64,
+    distance: f64,
 }
 
 impl<S: LocalSlamSpace> ActiveSubmap<S>
@@ -37,7 +37,7 @@ where
     S::Submap: GrowingSubmap,
 {
     fn is_sparse(&self) -> bool {
-        self.way > SPARSE_STEP * f64::from(self.submap.num_range_data())
+        self.distance > SPARSE_STEP * f64::from(self.submap.num_range_data())
     }
 }
 
@@ -51,7 +51,7 @@ where
             submaps: Vec::new(),
             next_index: 0,
             scans_per_half: scans_per_half.max(1),
-            way_per_half: f64::INFINITY,
+            distance_per_half: f64::INFINITY,
             last_origin: None,
             refused: 0,
             without_submap: 0,
@@ -61,12 +61,12 @@ where
     /// Submaps of sparse scans are full after this distance travelled, too, metres; 0 counts only scans.
     #[must_use]
     pub fn with_length(self, metres: f64) -> Self {
-        Self { way_per_half: if metres > 0.0 { 0.5 * metres } else { f64::INFINITY }, ..self }
+        Self { distance_per_half: if metres > 0.0 { 0.5 * metres } else { f64::INFINITY }, ..self }
     }
 
     fn has_halves(&self, active: &ActiveSubmap<S>, halves: u32) -> bool {
         active.submap.num_range_data() >= halves * self.scans_per_half
-            || active.is_sparse() && active.way >= f64::from(halves) * self.way_per_half
+            || active.is_sparse() && active.distance >= f64::from(halves) * self.distance_per_half
     }
 
     /// The submap to match against.
@@ -101,12 +101,12 @@ where
         let step = self.last_origin.replace(origin).map_or(0.0, |last| f64::from((origin - last).norm()));
         let newest_is_half_full = self.submaps.last().is_none_or(|newest| self.has_halves(newest, 1));
         if newest_is_half_full && let Some(submap) = create(origin) {
-            self.submaps.push(ActiveSubmap { index: self.next_index, submap, way: 0.0 });
+            self.submaps.push(ActiveSubmap { index: self.next_index, submap, distance: 0.0 });
             self.next_index += 1;
         }
         for active in &mut self.submaps {
             let step = if active.submap.num_range_data() > 0 { step } else { 0.0 };
-            active.way += step;
+            active.distance += step;
             self.refused += u64::from(!active.submap.insert(scan));
         }
         self.without_submap += u64::from(self.submaps.is_empty());
@@ -120,7 +120,7 @@ where
             })
             .collect();
         // The next submap has to be half full before it is matched against.
-        let oldest_is_full = self.submaps.len() > 1 || self.way_per_half.is_infinite();
+        let oldest_is_full = self.submaps.len() > 1 || self.distance_per_half.is_infinite();
         if oldest_is_full
             && self.submaps.first().is_some_and(|oldest| self.has_halves(oldest, 2))
             && let Some(inserted_into_oldest) = inserted.first_mut()

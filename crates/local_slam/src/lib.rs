@@ -89,7 +89,7 @@ pub struct Lost<S: LocalSlamSpace> {
     pub remaining: Vec<InsertionSubmap<S>>,
     /// Transform from the local map of the new piece to that of the old one, as if the scanner had stayed
     /// at its last accepted pose.
-    pub ended_from_begun: Rigid3,
+    pub old_from_new: Rigid3,
     /// Uncertainty of the motion from the last scan of the old piece to the first one of the new piece, if
     /// odometry measured it. Both scans are then in one local map.
     pub bridge: Option<OdometryBridge>,

@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_follow_what_the_recording_reaches_and_are_never_stricter_than_wanted() {
+    fn limits_follow_the_agreement_of_the_recording_up_to_those_wanted() {
         assert_eq!(after(0, 0.0, 0.0), WANTED);
         assert_eq!(after(500, 0.95, 0.03), WANTED);
         let noisy = after(500, 0.55, 0.2);
@@ -123,14 +123,14 @@ mod tests {
     }
 
     #[test]
-    fn scans_of_new_places_and_of_nothing_do_not_open_the_door() {
+    fn scans_of_new_or_wrong_places_hardly_relax_the_limits() {
         assert_eq!(after(500, 0.1, 0.1), WANTED);
         let hopeless = after(500, 0.1, 0.9);
         assert!(hopeless.min_explained > 0.24 && hopeless.max_contradiction < 0.51, "{hopeless:?}");
     }
 
     #[test]
-    fn where_everything_is_accepted_it_stays_so() {
+    fn limits_that_accept_everything_are_kept() {
         let any = MatchAcceptance::default();
         assert_eq!(UsualAgreement::default().acceptance(any), any);
     }

@@ -102,7 +102,7 @@ fn draw_changes(
     graph.patch(new, &|point| match changes.at(point) {
         Some(_) => CellFate::Replaced,
         None if around.contains(point) && !before.knows(point) => CellFate::Filled,
-        None => CellFate::Stays,
+        None => CellFate::Kept,
     });
     let beside_gone = changes.around(AROUND_REMOVED, |kind| kind == ChangeKind::Gone);
     graph.forget_points(new, &|point| beside_gone.contains(point));

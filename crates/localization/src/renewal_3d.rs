@@ -62,7 +62,7 @@ fn draw_changes(graph: &mut PoseGraph<Space3d>, new: TrajectoryId, changes: &Cha
     graph.patch_voxels(new, &|point| match changes.at(point) {
         Some(ChangeKind::Appeared) => VoxelFate::Appeared,
         _ if changes.is_gone(point) => VoxelFate::Gone,
-        _ => VoxelFate::Stays,
+        _ => VoxelFate::Kept,
     });
     graph.forget_points_3d(new, &|point| changes.is_gone(point));
 }

@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_fill_what_was_not_measured() {
+    fn derived_samples_fill_gaps_in_measurements() {
         let nodes = nodes();
         let times = |messages: Vec<m::ImuData>| -> Vec<i64> {
             assert!(messages.iter().all(|m| m.derived_from_poses && m.trajectory_id == 3));

@@ -64,7 +64,7 @@ impl Default for PaintOptions {
 pub enum PaintError {
     /// There is no submap with a grid.
     #[error("there is nothing to paint: no submap has a grid")]
-    Nothing,
+    Empty,
     /// The resolution is not positive and finite.
     #[error("the resolution must be a positive number of metres, not {0}")]
     Resolution(f64),
@@ -225,7 +225,7 @@ fn blend_all<P: Copy + Send>(
             let (size, [x, y]) = cropped(area, resolution)?;
             (size, [x + off[0], y + off[1]])
         }
-        None => bounds(&slices).ok_or(PaintError::Nothing)?,
+        None => bounds(&slices).ok_or(PaintError::Empty)?,
     };
     if size[0] * size[1] > options.max_pixels as f64 || size[0] > 1e9 || size[1] > 1e9 {
         let enough = resolution * (size[0] * size[1] / options.max_pixels as f64).sqrt() * 1.01;

@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn names_that_mean_something_in_yaml_are_quoted() {
+    fn names_with_a_meaning_in_yaml_are_quoted() {
         let line = |name| ros_map_yaml(name, 0.05, [0.0, 0.0]).lines().next().map(str::to_owned);
         assert_eq!(line("the house (2).pgm").as_deref(), Some("image: the house (2).pgm"));
         for (name, expected) in [

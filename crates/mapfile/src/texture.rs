@@ -54,8 +54,9 @@ pub enum TextureError {
     /// The box of known cells is not within the grid.
     #[error("the box of known cells is not inside the grid")]
     KnownCellsBox,
-    /// A code outside of 0 to 65535 (the highest bit is a marker that files should not have).
-    #[error("the grid has the cell value {0}, which is outside of 0 to 32767")]
+    /// A code that is not a 16-bit number, 0 to 65535. Codes are 0 to 32767; the highest bit is an update
+    /// marker, which is ignored.
+    #[error("the grid has the cell value {0}, which is outside of 0 to 65535")]
     CellValue(i32),
     /// A pose is missing or not valid.
     #[error("the {0} pose of the submap is missing or not valid")]

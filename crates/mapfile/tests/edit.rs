@@ -43,7 +43,7 @@ fn small(folder: &TempDir, three_d: bool) -> PathBuf {
 }
 
 #[test]
-fn nothing_changed_is_the_same_map() {
+fn a_map_without_edits_is_the_same() {
     let folder = tempfile::tempdir().unwrap();
     let copy = folder.path().join("copy.pbstream");
     for path in real_maps() {
@@ -106,7 +106,7 @@ fn numbers_of_trajectories() {
     assert_eq!(summary(&out).trajectories.iter().map(|t| t.id).collect::<Vec<_>>(), [0, 1]);
     let mut none = draft(&path);
     none.retain_trajectories(|_| false);
-    assert!(matches!(none.write(&out), Err(EditError::Nothing)));
+    assert!(matches!(none.write(&out), Err(EditError::Empty)));
 }
 
 #[test]
@@ -146,7 +146,7 @@ fn maps_are_cut_by_time_and_area() {
     };
     let (inside, outside) = (count(true), count(false));
     assert!(inside > 50 && outside > 2000 && inside + outside <= 2786, "{inside} {outside}");
-    assert!(matches!(draft(&path).cut_time(Time::MIN, at(-1.0)), Err(EditError::Nothing)));
+    assert!(matches!(draft(&path).cut_time(Time::MIN, at(-1.0)), Err(EditError::Empty)));
 }
 
 /// Known pixels of submaps that lie in the area, a pixel from its border.
@@ -278,7 +278,7 @@ fn loops_are_dropped_found_again_and_optimised() {
 }
 
 #[test]
-fn optimising_in_3d_keeps_what_fits() {
+fn optimising_a_consistent_map_in_3d_changes_it_little() {
     let Some(path) = real_data("maps/reference/corridor_imu.pbstream") else { return };
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out.pbstream");

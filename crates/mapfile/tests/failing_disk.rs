@@ -28,7 +28,7 @@ fn contents(folder: &Path) -> Vec<(std::ffi::OsString, Vec<u8>)> {
 
 // One test, because the disk is that of the whole process.
 #[test]
-fn a_failing_disk_leaves_whole_files_or_none() {
+fn a_failing_disk_leaves_complete_files_or_none() {
     let folder = tempfile::tempdir().unwrap();
     let from = folder.path().join("from.pbstream");
     SmallMap::new(true).write(&from);

@@ -162,7 +162,7 @@ fn negative_zeros_survive_memory() {
 }
 
 #[test]
-fn open_submaps_stay_open() {
+fn unfinished_submaps_remain_unfinished() {
     let folder = tempfile::tempdir().unwrap();
     let [path, copy, edited] = ["map", "copy", "edited"].map(|name| folder.path().join(name));
     let mut map = SmallMap::new(true);

@@ -146,7 +146,7 @@ fn coarse_pictures_average_fine_ones() {
 }
 
 #[test]
-fn a_wall_stays_one_however_many_submaps_see_free_space_there_faintly() {
+fn a_wall_survives_weak_evidence_of_free_space_in_many_submaps() {
     let submap = |index, pixel| {
         let texture = SubmapTexture {
             pixels: vec![pixel; 64],
@@ -185,7 +185,7 @@ fn senseless_requests_are_errors() {
         texture: texture.clone().into(),
     };
     let default = PaintOptions::default();
-    assert_eq!(paint(&[], &default), Err(PaintError::Nothing));
+    assert_eq!(paint(&[], &default), Err(PaintError::Empty));
     assert_eq!(paint(&[placed(f64::NAN)], &default), Err(PaintError::Pose((0, 0))));
     assert!(matches!(paint(&[placed(0.0), placed(1e12)], &default), Err(PaintError::TooLarge { .. })));
     assert!(matches!(

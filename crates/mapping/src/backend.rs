@@ -275,7 +275,7 @@ mod tests {
     use crate::Space2d;
 
     #[test]
-    fn who_waits_for_the_end_is_told_how_far_it_is() {
+    fn progress_is_reported_while_waiting_for_the_end() {
         for threads in [1, 2] {
             let graph = PoseGraph::<Space2d>::new(Options::for_2d().map_builder.pose_graph);
             let backend = Backend::start(graph, threads).unwrap();

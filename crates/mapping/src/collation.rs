@@ -128,7 +128,7 @@ mod tests {
     use portolan_sensor::{ImuData, TimedPointCloudData};
 
     #[test]
-    fn of_what_comes_before_the_first_scan_the_newest_is_kept() {
+    fn the_newest_sample_before_the_first_scan_is_kept() {
         let [imu, lidar] = [SensorKind::Imu, SensorKind::Range].map(|kind| SensorId::new(kind, "a"));
         let mut collation = SensorCollation::new(false);
         let options = Options::for_3d().trajectory_builder;

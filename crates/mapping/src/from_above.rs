@@ -34,7 +34,7 @@ const STANDS: f32 = 0.9;
 /// information of a hit.
 const SURROUNDINGS: f64 = 6.0;
 /// Maximum information of a hit, nats.
-const MOST_TOLD: f64 = 3.0;
+const MAX_INFORMATION: f64 = 3.0;
 /// Proposals of the search of the projected grid: minimum score, and minimum fraction of the best score.
 const PROPOSALS: SeveralPlaces = SeveralPlaces {
     min_score: 0.3,
@@ -45,7 +45,7 @@ const PROPOSALS: SeveralPlaces = SeveralPlaces {
 };
 /// Proposals of the search in which each column is weighted by its information: its score, as a fraction of
 /// the maximum information of all points, is smaller.
-const TELLING: WantedPlaces = WantedPlaces {
+const INFORMATIVE: WantedPlaces = WantedPlaces {
     min_score: 0.15,
     share_of_best: PROPOSALS.share_of_best,
     separation: PROPOSALS.separation,
@@ -82,7 +82,7 @@ pub struct SeenFromAbove {
     /// All columns have the same weight.
     alike: FastCorrelativeMatcher2d,
     /// Columns are weighted by their information.
-    telling: PlaceIndex2d,
+    informative: PlaceIndex2d,
     /// Positions of nodes in the map, metres.
     nodes: Vec<Vector3>,
 }
@@ -93,9 +93,9 @@ impl SeenFromAbove {
     /// # Errors
     /// If there are no upright columns, or the projected grid cannot be made.
     pub fn new(solid: impl Iterator<Item = Point3f>, nodes: Vec<Vector3>) -> Result<Self, FromAboveError> {
-        let (picture, telling) = from_above(solid, &nodes)?;
+        let (picture, informative) = from_above(solid, &nodes)?;
         let alike = FastCorrelativeMatcher2d::new(&picture, &FastCorrelativeOptions2d::default())?;
-        Ok(Self { alike, telling, nodes })
+        Ok(Self { alike, informative, nodes })
     }
 
     /// Poses at which the columns of scans fit, in an area (its middle, and metres to each side) or anywhere,
@@ -107,14 +107,14 @@ impl SeenFromAbove {
             Some((middle, metres)) => self.alike.match_several_within(columns, &PROPOSALS, middle, metres),
             None => self.alike.match_several(columns, &PROPOSALS),
         };
-        let telling = || match area {
-            Some((middle, metres)) => self.telling.find_within(columns, &TELLING, middle, metres),
-            None => self.telling.find(columns, &TELLING),
+        let informative = || match area {
+            Some((middle, metres)) => self.informative.find_within(columns, &INFORMATIVE, middle, metres),
+            None => self.informative.find(columns, &INFORMATIVE),
         };
-        let (alike, telling) = rayon::join(alike, telling);
+        let (alike, informative) = rayon::join(alike, informative);
         let (metres, radians) = PROPOSALS.separation;
         let mut places: Vec<Rigid2> = Vec::new();
-        for place in alike.into_iter().chain(telling.places).map(|found| found.pose) {
+        for place in alike.into_iter().chain(informative.places).map(|found| found.pose) {
             let is_near = |other: &Rigid2| {
                 (other.translation - place.translation).norm() < metres
                     && normalize_angle(other.angle - place.angle).abs() < radians
@@ -181,9 +181,9 @@ fn from_above(
         picture.set_probability(*cell, STANDS);
     });
     let crowd = Crowd::new(&limits, &cells);
-    let told: Vec<(CellIndex, f32)> =
+    let information: Vec<(CellIndex, f32)> =
         cells.iter().map(|cell| (*cell, crowd.self_information(*cell))).collect();
-    let index = PlaceIndex2d::of_cells(limits, &told, &around(nodes, &limits));
+    let index = PlaceIndex2d::of_cells(limits, &information, &around(nodes, &limits));
     Ok((Grid2d::Probability(picture), index))
 }
 
@@ -259,8 +259,8 @@ impl Crowd {
         let before = |x: usize, y: usize| self.sums.get(y * (self.width + 1) + x).copied().unwrap_or(0);
         let standing = (before(right, high) + before(left, low)) - (before(left, high) + before(right, low));
         let side = 2.0 * self.reach as f64 + 1.0;
-        let told = -(f64::from(standing.max(1)) / (side * side)).ln();
-        (told.clamp(0.0, MOST_TOLD) / MOST_TOLD) as f32
+        let information = -(f64::from(standing.max(1)) / (side * side)).ln();
+        (information.clamp(0.0, MAX_INFORMATION) / MAX_INFORMATION) as f32
     }
 }
 
@@ -279,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn a_post_by_itself_tells_more_than_one_of_a_wood() {
+    fn an_isolated_post_has_more_information_than_one_in_a_wood() {
         let limits = MapLimits::new(0.3, Vector2::new(30.0, 30.0), 200, 200).unwrap();
         let wood = (30..90).flat_map(|x| (30..90).map(move |y| CellIndex::new(x, y)));
         let post = CellIndex::new(150, 150);

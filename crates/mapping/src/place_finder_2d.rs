@@ -66,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stretch_of_way_is_found_in_the_submap_that_saw_it() {
+    fn a_section_of_path_is_found_in_its_submap() {
         let (large, small) = ((9.0, 7.0), (6.0, 5.0));
         let pose = Rigid3::new(Vector3::new(30.0, -5.0, 0.0), Vector3::z() * 2.0);
         let submaps = [submap(large), submap(small), submap(large)];
@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_far_from_the_origin_is_searched_as_one_near_it() {
+    fn search_does_not_depend_on_the_distance_from_the_origin() {
         let (large, small) = ((9.0, 7.0), (6.0, 5.0));
         let submaps = [submap(large), submap(small)];
         let here = node(small, (0.5, -0.8));
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_seen_in_two_places_alike_is_proposed_in_both() {
+    fn identical_rooms_are_both_proposed() {
         let size = (9.0, 7.0);
         let submaps = [submap(size), submap(size)];
         let poses = [Rigid3::identity(), Rigid3::translation(25.0, 3.0, 0.0)];

@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn nodes_are_found_from_as_far_as_they_may_be_off() {
+    fn nodes_are_found_within_the_search_window() {
         let cloud = PointCloud::new(room());
         let sparse = PointCloud::new(cloud.points.iter().step_by(37).copied().collect());
         let node = NodeToFind {
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn along_a_bare_corridor_a_node_is_found_across_it() {
+    fn in_a_bare_corridor_the_lateral_position_is_found() {
         let walls = (-90..90).flat_map(|i| {
             let along = 0.1 * i as f32;
             let sides =

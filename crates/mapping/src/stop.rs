@@ -9,12 +9,12 @@ pub(crate) struct Stop(Arc<AtomicBool>);
 
 impl Stop {
     /// Sets the flag.
-    pub fn ask(&self) {
+    pub fn request(&self) {
         self.0.store(true, Ordering::Relaxed);
     }
 
     /// Whether the flag is set.
-    pub fn is_asked(&self) -> bool {
+    pub fn is_requested(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
 }

@@ -35,7 +35,7 @@ mod tests {
     use portolan_geometry::Point3f;
 
     #[test]
-    fn neighbours_tell_the_direction_of_a_wall() {
+    fn tangents_follow_from_neighbouring_points() {
         let wall = (0..5).map(|i| Point3f::new(2.0, 0.2 * i as f32, 0.0));
         let cloud = PointCloud::new(wall.chain([Point3f::new(9.0, 9.0, 0.0)]).collect());
         let tangents = surface_tangents(&cloud);

@@ -2,7 +2,7 @@
 
 use portolan_geometry::{Point3f, Rigid2};
 
-/// A rotation about z and a translation in 2D, applied to points in single precision the way quaternions do
+/// A rotation about z and a translation in 2D, applied to points in single precision as quaternions do
 /// it. The cell of a point on a border depends on this order of operations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Transform2d {
@@ -35,7 +35,7 @@ impl Transform2d {
         Self { translation: [-moved.x, -moved.y], ..back }
     }
 
-    /// The transformed point (metres); z stays.
+    /// The transformed point (metres); z is kept.
     #[inline]
     pub fn apply(&self, point: &Point3f) -> Point3f {
         let [w, z] = self.quaternion;
@@ -53,7 +53,7 @@ mod tests {
     use portolan_geometry::Vector2;
 
     #[test]
-    fn it_does_what_the_pose_does() {
+    fn the_transform_equals_that_of_the_pose() {
         let pose = Rigid2::new(1.5, -0.7, 2.2);
         let transform = Transform2d::from_pose(&pose);
         let (point, expected) =

@@ -265,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn in_a_field_all_of_the_plane_is_open_however_it_is_spanned() {
+    fn in_open_country_both_horizontal_translations_are_degenerate() {
         let mut found = intervals();
         let (a, b) = (Vector3::new(0.6, 0.8, 0.0), Vector3::new(-0.8, 0.6, 0.0));
         found.add_translations(&scan(0.0), &[a, b], &Vector3::z());

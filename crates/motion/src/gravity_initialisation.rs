@@ -178,12 +178,15 @@ mod tests {
         );
         assert_eq!(initialisation.add_imu(&sample(1.0, 9.8)), Ok(()));
         assert!(initialisation.is_ready(None));
-        let begun = initialisation.begin(PoseExtrapolator::new(0.1, 10.0, true), None).unwrap();
-        assert_eq!((begun.imu.len(), begun.extrapolator.last_pose_time()), (2, Some(Time::from_ticks(0))));
+        let started = initialisation.begin(PoseExtrapolator::new(0.1, 10.0, true), None).unwrap();
+        assert_eq!(
+            (started.imu.len(), started.extrapolator.last_pose_time()),
+            (2, Some(Time::from_ticks(0)))
+        );
     }
 
     #[test]
-    fn one_sample_is_waited_for_and_is_enough() {
+    fn one_sample_is_required_and_sufficient() {
         let mut initialisation = GravityInitialisation::of_one_sample(1.0);
         assert!(!initialisation.is_ready(None) && !initialisation.is_ready(Some(&waiting(0.9))));
         assert!(initialisation.is_ready(Some(&waiting(1.0))));
@@ -192,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_that_are_no_numbers_or_out_of_order_are_named() {
+    fn non_finite_and_unordered_samples_are_rejected() {
         let mut initialisation = GravityInitialisation::new(1.0);
         assert_eq!(initialisation.add_imu(&sample(0.5, f64::NAN)), Err(ExtrapolatorError::NotFinite));
         assert_eq!(initialisation.add_imu(&sample(0.5, 9.8)), Ok(()));
@@ -200,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn without_anything_nothing_begins() {
+    fn without_samples_and_scans_no_trajectory_begins() {
         let mut initialisation = GravityInitialisation::new(1.0);
         assert!(initialisation.begin(PoseExtrapolator::new(0.1, 10.0, true), None).is_none());
     }

@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_not_measured_is_not_known() {
+    fn unmeasured_intervals_are_not_integrated() {
         let mut samples = samples();
         let ticks = Time::from_ticks;
         assert!(integrate_imu(&samples, ticks(-1), ticks(50_000)).is_none());

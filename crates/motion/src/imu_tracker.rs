@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn acceleration_shows_where_up_is() {
+    fn acceleration_measures_the_vertical() {
         let acceleration = Vector3::new(0.5, 0.3, 9.5);
         let result = track(acceleration, Vector3::zeros(), 0.3);
         assert!(angular_distance(&result, &rotation_between(&acceleration, &Vector3::z())) < 1e-8);

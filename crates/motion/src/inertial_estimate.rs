@@ -156,7 +156,7 @@ impl InertialEstimate {
     }
 
     /// Continues from another pose (tracking in local) and velocity, with these standard deviations of
-    /// position, rotation and velocity. Biases and gravity stay unchanged.
+    /// position, rotation and velocity. Biases and gravity remain unchanged.
     pub fn moved_to(&mut self, local_from_tracking: &Rigid3, velocity: Vector3, sigmas: [f64; 3]) {
         self.place = local_from_tracking.translation.vector;
         self.rotation = local_from_tracking.rotation;
@@ -393,7 +393,7 @@ mod tests {
 
     /// The transition of the covariance agrees with the propagation of small errors.
     #[test]
-    fn the_covariance_goes_the_way_of_small_errors() {
+    fn the_covariance_propagates_like_small_errors() {
         let rotation = quaternion_from_angle_axis(&Vector3::new(0.05, -0.1, 0.4));
         let first = InertialEstimate::first(rotation, (Vector3::z() * GRAVITY, 0.1), GRAVITY, &SILENT);
         let go = |estimate: &InertialEstimate| {

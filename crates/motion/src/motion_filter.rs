@@ -66,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_happens_but_time_passes() {
+    fn a_pose_at_rest_passes_after_the_maximum_time() {
         let mut filter = filter();
         assert!(filter.is_similar(Time::from_ticks(42), &Rigid3::identity()));
         let later = Time::from_ticks(42) + Duration::from_seconds(1.0);
@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn distance_counts_from_the_last_that_passed() {
+    fn distance_counts_from_the_last_pose_that_passed() {
         let mut filter = filter();
         for (x, y, similar) in [(0.3, 0.0, false), (0.45, 0.0, true), (0.6, 0.0, false), (0.6, 0.15, true)] {
             let pose = Rigid3::translation(x, y, 0.0);
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn angles_are_the_smaller_way_round() {
+    fn angles_are_the_smaller_rotation() {
         let mut filter = filter();
         for (angle, similar) in [(1.9, true), (2.1, false), (4.0, true), (5.9, false), (0.0, true)] {
             let pose = Rigid3::rotation(Vector3::y() * angle);

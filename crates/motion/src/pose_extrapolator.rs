@@ -155,7 +155,7 @@ impl PoseExtrapolator {
 
     /// Restarts from a pose that is unrelated to those before, with this motion in this time, seconds. IMU
     /// samples are kept; odometry and earlier poses are dropped.
-    pub fn begin_anew(&mut self, time: Time, local_from_tracking: Rigid3, motion: &Rigid3, seconds: f64) {
+    pub fn restart(&mut self, time: Time, local_from_tracking: Rigid3, motion: &Rigid3, seconds: f64) {
         self.poses.clear();
         self.odometry.clear();
         self.linear_velocity_from_poses =

@@ -64,7 +64,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_repeated_largest_values_are_the_end() {
+    fn only_repeated_largest_values_are_saturation() {
         let count = |limit: f64, noise: f64| {
             let mut detector = SaturationDetector::new(0.2, 5);
             let rate = |i: i32| (0.02 * f64::from(i)).sin() + noise * f64::from(i * 7919 % 101) / 101.0;
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn an_even_turn_without_noise_is_not_the_end() {
+    fn a_uniform_turn_without_noise_is_not_saturation() {
         let mut detector = SaturationDetector::new(0.2, 5);
         let rate = |i: i32| f64::from(i.min(100)) * 0.01;
         assert!((0..1000).all(|i| !detector.is_saturated(&Vector3::new(0.0, 0.002, rate(i)))));

@@ -248,13 +248,13 @@ mod tests {
     }
 
     #[test]
-    fn it_stands_where_most_sweeps_match() {
+    fn standstill_is_at_the_median_match() {
         let pose = after_ten_seconds(0.0, 0.0).unwrap();
         assert!(pose.translation.vector.norm() < 0.005, "{pose}");
     }
 
     #[test]
-    fn what_odometry_saw_moving_does_not_stand() {
+    fn motion_by_odometry_prevents_standstill() {
         let after = |speed: f64| {
             let mut detector = detector();
             for i in 0..2000 {
@@ -275,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn what_moves_does_not_stand() {
+    fn moving_platforms_are_not_at_rest() {
         assert_eq!(after_ten_seconds(0.03, 0.0), None);
         assert_eq!(after_ten_seconds(0.0, 0.5), None);
         assert_eq!(detector().pose(), None);

@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn one_outlier_says_little_and_several_say_that_they_are_none() {
+    fn one_outlier_has_little_effect_and_several_increase_the_variance() {
         let mut matching = CovarianceMatching::new(20.0);
         matching.add(1e6);
         assert_eq!(matching.variance_factor(), 1.0 + 15.0 / 20.0);
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn it_stays_within_its_bounds() {
+    fn the_factor_is_within_its_bounds() {
         let mut matching = CovarianceMatching::new(2.0).within(1.0, 10.0);
         (0..9).for_each(|_| matching.add(0.0));
         assert_eq!(matching.variance_factor(), 1.0);

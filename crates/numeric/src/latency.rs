@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_and_everything_fit() {
+    fn empty_histograms_and_extreme_values_are_handled() {
         let mut histogram = LatencyHistogram::default();
         assert_eq!(histogram.quantile(0.99), Duration::ZERO);
         histogram.add(Duration::ZERO);

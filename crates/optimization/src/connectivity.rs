@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn times_rise_and_never_fall() {
+    fn connection_times_never_decrease() {
         let mut connectivity = TrajectoryConnectivity::default();
         for (tick, expected) in [(5, 5), (9, 9), (7, 9)] {
             connectivity.connect(t(0), t(1), Time::from_ticks(tick));

@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nothing_counts_along_an_open_direction() {
+    fn residuals_along_a_degenerate_direction_have_no_weight() {
         let open = OpenShift { direction: Vector3::new(0.6, 0.8, 0.0) };
         assert!(open.closed_part(&Vector3::new(3.0, 4.0, 0.0)).norm() < 1e-12);
         assert!(

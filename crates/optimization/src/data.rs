@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn trimming_keeps_what_interpolation_needs() {
+    fn trimming_keeps_samples_for_interpolation() {
         let ms = |v: i64| Time::from_ticks(v * 10_000);
         let mut data = OptimizationData::default();
         let trajectory_id = TrajectoryId(0);

@@ -9,22 +9,22 @@ const SHIFT: f64 = 0.02;
 /// The same per metre measured by odometry, metres.
 const SHIFT_BY_ODOMETRY: f64 = 0.05;
 /// The same per second without any measurement, metres.
-const SHIFT_BY_NOTHING: f64 = 1.0;
+const UNMEASURED_SHIFT: f64 = 1.0;
 /// Standard deviation of a rotation that is not constrained by a scan: constant part, radians.
 const TURN: f64 = 0.001;
 /// The same per second with a gyroscope, radians.
 const TURN_BY_GYROSCOPE: f64 = 0.002;
 /// The same per second without any measurement, radians.
-const TURN_BY_NOTHING: f64 = 0.1;
+const UNMEASURED_TURN: f64 = 0.1;
 
 /// Weights (1/m) along the degenerate translations and (1/rad) about the degenerate rotations of a motion
 /// that took `seconds`.
 fn weights(of: &Observability, motion: &Rigid3, seconds: f64) -> (f64, f64) {
     let shift = match of.translation_is_measured {
         true => SHIFT_BY_ODOMETRY * motion.translation.vector.norm(),
-        false => SHIFT_BY_NOTHING * seconds,
+        false => UNMEASURED_SHIFT * seconds,
     };
-    let rate = if of.rotation_is_measured { TURN_BY_GYROSCOPE } else { TURN_BY_NOTHING };
+    let rate = if of.rotation_is_measured { TURN_BY_GYROSCOPE } else { UNMEASURED_TURN };
     (1.0 / (SHIFT + shift), 1.0 / (TURN + rate * seconds))
 }
 

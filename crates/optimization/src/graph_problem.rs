@@ -73,7 +73,7 @@ pub(super) trait ProblemSpace {
 /// Weights of a start given by the user, 1/m and 1/rad: it is right to some metres and some ten degrees, and
 /// constrains the position where loop closures have a degenerate direction. Any loop closure weighs a
 /// thousand times as much.
-const TOLD_START: Weights = (75.0, 1e3);
+const GIVEN_START: Weights = (75.0, 1e3);
 
 /// Weights of translation and rotation.
 pub(super) type Weights = (f64, f64);
@@ -213,8 +213,8 @@ impl<'a, S: ProblemSpace> GraphProblem<'a, S> {
         for (id, pose) in &data.given_starts {
             let is_frozen = data.frozen.contains(&id.trajectory_id);
             let Some(node) = self.nodes.get(id).copied().filter(|_| !is_frozen) else { continue };
-            let told = S::add_pose(&mut self.problem, pose, Role::Frozen, self.options);
-            self.add_between([told, node], &Rigid3::identity(), TOLD_START, Loss::None);
+            let given = S::add_pose(&mut self.problem, pose, Role::Frozen, self.options);
+            self.add_between([given, node], &Rigid3::identity(), GIVEN_START, Loss::None);
         }
     }
 

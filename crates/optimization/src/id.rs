@@ -106,7 +106,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn iteration_goes_by_trajectory_then_index() {
+    fn iteration_is_ordered_by_trajectory_then_index() {
         let id = |t, i| NodeId::new(TrajectoryId(t), i);
         let map: BTreeMap<NodeId, i32> = [(id(7, 0), 2), (id(42, 0), 3), (id(0, 1), 1), (id(0, 0), 0)].into();
         assert_eq!(map.values().copied().collect::<Vec<_>>(), [0, 1, 2, 3]);

@@ -72,8 +72,8 @@ impl ImuBias {
         let (mut seconds, mut turn) = (0.0, Vector3::zeros());
         let may_be_bias = |s: &&Step| !s.saturated && s.difference.norm() <= settings.max_bias() * s.seconds;
         for step in steps.iter().filter(may_be_bias) {
-            let told = settings.weight_at(step.turn / step.seconds);
-            (seconds, turn) = (seconds + told * step.seconds, turn + step.difference * told);
+            let weight = settings.weight_at(step.turn / step.seconds);
+            (seconds, turn) = (seconds + weight * step.seconds, turn + step.difference * weight);
             bias.turns.push((step.start + Duration::from_seconds(step.seconds), seconds, turn));
         }
         bias.contradicted = bias.contradictions(&steps);

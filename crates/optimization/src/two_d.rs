@@ -136,12 +136,12 @@ mod tests {
 
     /// Pose of the first of two nodes, 2 m apart, in a known map in which matches are degenerate along lines
     /// which meet 30 m away, if the given start is 1 m off the true one.
-    fn first_node(is_told: bool) -> Rigid3 {
+    fn first_node(is_given: bool) -> Rigid3 {
         let mut data = OptimizationData::default();
         data.frozen.insert(KNOWN);
         data.submaps.insert(SubmapId::new(KNOWN, 0), Rigid3::identity());
-        let told = Rigid3::translation(1.0, 0.3, 0.0);
-        data.submaps.insert(SubmapId::new(NEW, 0), told);
+        let given = Rigid3::translation(1.0, 0.3, 0.0);
+        data.submaps.insert(SubmapId::new(NEW, 0), given);
         let mut constraints = Vec::new();
         for index in 0..2 {
             let local_from_node = Rigid3::translation(2.0 * f64::from(index), 0.0, 0.0);
@@ -149,7 +149,7 @@ mod tests {
             let node = OptimizationNode {
                 time: Time::from_unix_seconds(f64::from(index)),
                 local_from_node,
-                map_from_node: told * local_from_node,
+                map_from_node: given * local_from_node,
                 gravity_alignment: portolan_geometry::Quaternion::identity(),
             };
             data.nodes.insert(id, node);
@@ -159,19 +159,19 @@ mod tests {
             let seen = Rigid3::translation(2.0 * f64::from(index), -0.6 * f64::from(index), 0.0);
             constraints.push(relate(KNOWN, id, seen, Some(OpenShift { direction })));
         }
-        if is_told {
-            data.given_starts.insert(NodeId::new(NEW, 0), told);
+        if is_given {
+            data.given_starts.insert(NodeId::new(NEW, 0), given);
         }
         optimize_2d(&mut data, &constraints, &OptimizationProblemOptions::default());
         data.nodes.get(&NodeId::new(NEW, 0)).map(|node| node.map_from_node).unwrap()
     }
 
     #[test]
-    fn a_told_start_holds_what_matches_leave_open() {
-        let [told, free] = [true, false].map(first_node);
+    fn a_given_start_constrains_degenerate_directions() {
+        let [given, free] = [true, false].map(first_node);
         let x = |pose: &Rigid3| pose.translation.vector.x;
-        assert!((x(&told) - 1.0).abs() < 0.5, "{told:?}");
-        assert!(told.translation.vector.y.abs() < 0.35, "{told:?}");
+        assert!((x(&given) - 1.0).abs() < 0.5, "{given:?}");
+        assert!(given.translation.vector.y.abs() < 0.35, "{given:?}");
         assert!((free.translation.vector.x - 1.0).abs() > 5.0, "{free:?}");
     }
 }

@@ -69,20 +69,20 @@ impl FindingKind {
     /// be.
     pub fn repair(self) -> Option<&'static str> {
         match self {
-            Self::Damage => Some("keeps the records that are whole"),
-            Self::Header => Some("makes a header"),
-            Self::Order => Some("makes what is missing, drops what is there twice"),
+            Self::Damage => Some("keeps the complete records"),
+            Self::Header => Some("creates a header"),
+            Self::Order => Some("creates missing messages, drops repeated ones"),
             Self::UnknownMessage | Self::Unconstrained | Self::FarAway => None,
             Self::Imu => Some("adds samples that agree with the poses"),
-            Self::Options => Some("makes empty options, takes back impossible starts"),
+            Self::Options => Some("creates empty options, removes impossible starts"),
             Self::DuplicateId => Some("keeps the first"),
-            Self::MissingPart => Some("leaves out what lacks its counterpart, with its constraints"),
-            Self::Pose => Some("normalises rotations, leaves out what has no pose"),
+            Self::MissingPart => Some("leaves out parts without their counterpart, and their constraints"),
+            Self::Pose => Some("normalises rotations, leaves out parts without a pose"),
             Self::Constraint => Some("leaves the constraint out"),
-            Self::Grid => Some("makes impossible cells unknown, leaves out submaps whose sizes lie"),
+            Self::Grid => Some("sets impossible cells to unknown, leaves out submaps with wrong sizes"),
             Self::PointCloud => Some("keeps the node without the cloud"),
             Self::Histogram => Some("keeps the part without the histogram"),
-            Self::Time => Some("leaves out what comes too late"),
+            Self::Time => Some("leaves out data that are not in order of time"),
         }
     }
 }
@@ -255,7 +255,7 @@ impl Check {
                 self.graph = Some(ids);
             }
             Data::AllTrajectoryBuilderOptions(_) if self.options.is_some() => {
-                self.warn(FindingKind::Order, "options for a second time; readers ignore them");
+                self.warn(FindingKind::Order, "a second options message; readers ignore it");
             }
             Data::AllTrajectoryBuilderOptions(options) => {
                 self.options = Some(options.options_with_sensor_ids.len());
@@ -283,10 +283,7 @@ impl Check {
         }
         if let Some(place) = valid.map(|pose| pose.translation.vector).filter(|place| !is_on_earth(place)) {
             let metres = place.norm();
-            self.warn(
-                FindingKind::FarAway,
-                format!("{what} lies {metres:.1e} m from where it is measured from"),
-            );
+            self.warn(FindingKind::FarAway, format!("{what} is {metres:.1e} m from the origin of its frame"));
         }
         valid
     }
@@ -359,15 +356,15 @@ impl Check {
         for (trajectory, first_node) in first_nodes {
             if self.is_3d && self.first_imu.get(&trajectory).is_none_or(|first| *first > first_node) {
                 let text = format!(
-                    "trajectory {trajectory} has no IMU data at its first node: Cartographer ends when it loads the \
-                     map unfrozen and optimises it"
+                    "trajectory {trajectory} has no IMU data at its first node: Cartographer terminates when it \
+                     loads the map unfrozen and optimises it"
                 );
                 self.warn(FindingKind::Imu, text);
             }
             if !graph.constrained.contains(&trajectory) {
                 let text = format!(
-                    "trajectory {trajectory} has no constraints of its own: nothing holds its nodes when it is \
-                     optimised"
+                    "trajectory {trajectory} has no constraints of its own: its nodes are not constrained when \
+                     it is optimised"
                 );
                 self.warn(FindingKind::Unconstrained, text);
             }
@@ -397,7 +394,7 @@ pub fn bad_starts(ids: &[i32], starts: &[Option<i32>]) -> Vec<(usize, String)> {
     for (i, id) in ids.iter().enumerate() {
         if let Some(to) = next(i).filter(|to| !place.contains_key(to)) {
             let text =
-                format!("the start of trajectory {id} is relative to trajectory {to}, which is not there");
+                format!("the start of trajectory {id} is relative to trajectory {to}, which does not exist");
             bad.push((i, text));
         }
         let mut at = Some(i);
@@ -409,7 +406,7 @@ pub fn bad_starts(ids: &[i32], starts: &[Option<i32>]) -> Vec<(usize, String)> {
         }
         if let Some(met) = at.filter(|met| reached.get(*met) == Some(&i)) {
             let id = ids.get(met).copied().unwrap_or_default();
-            bad.push((met, format!("the start of trajectory {id} is relative to itself, in a circle")));
+            bad.push((met, format!("the start of trajectory {id} is relative to itself, through a cycle")));
         }
     }
     bad

@@ -18,12 +18,12 @@ impl Check {
         let id = submap_id(submap.submap_id.as_ref());
         self.belongs("submap", id, |graph| graph.submaps.contains(&id));
         if !self.submaps_seen.insert(id) {
-            self.error(FindingKind::DuplicateId, format!("submap {id:?} is there twice"));
+            self.error(FindingKind::DuplicateId, format!("submap {id:?} is repeated"));
         }
         match (&submap.submap_2d, &submap.submap_3d) {
             (None, None) => self.error(FindingKind::Grid, format!("submap {id:?} has no content")),
             (Some(_), Some(_)) => {
-                self.error(FindingKind::Grid, format!("submap {id:?} is 2D and 3D at once"));
+                self.error(FindingKind::Grid, format!("submap {id:?} is both 2D and 3D"));
             }
             (Some(submap), None) => {
                 self.pose(&format!("submap {id:?} in its local map"), submap.local_pose.as_ref());
@@ -49,7 +49,10 @@ impl Check {
         if !histogram.iter().all(|v| v.is_finite()) {
             self.error(FindingKind::Histogram, format!("the histogram of submap {id:?} is not finite"));
         } else if histogram.is_empty() && self.version() != Some(1) {
-            self.warn(FindingKind::Histogram, format!("submap {id:?} has no histogram; `migrate` makes one"));
+            self.warn(
+                FindingKind::Histogram,
+                format!("submap {id:?} has no histogram; `migrate` creates one"),
+            );
         }
     }
 
@@ -62,7 +65,7 @@ impl Check {
             self.error(FindingKind::Grid, text);
         }
         if report.bad_box {
-            let text = format!("the box of known cells of submap {id:?} does not lie in its grid");
+            let text = format!("the box of known cells of submap {id:?} is not inside its grid");
             self.error(FindingKind::Grid, text);
         }
     }
@@ -71,7 +74,7 @@ impl Check {
         let id = node_id(node.node_id.as_ref());
         self.belongs("node", id, |graph| graph.nodes.contains_key(&id));
         if !self.nodes_seen.insert(id) {
-            self.error(FindingKind::DuplicateId, format!("node {id:?} is there twice"));
+            self.error(FindingKind::DuplicateId, format!("node {id:?} is repeated"));
         }
         let Some(data) = &node.node_data else {
             self.error(FindingKind::MissingPart, format!("node {id:?} has no data"));
@@ -79,11 +82,11 @@ impl Check {
         };
         self.pose(&format!("node {id:?} in its local map"), data.local_pose.as_ref());
         if !data.gravity_alignment.as_ref().is_some_and(is_rotation) {
-            self.error(FindingKind::Pose, format!("the gravity alignment of node {id:?} is no rotation"));
+            self.error(FindingKind::Pose, format!("the gravity alignment of node {id:?} is not a rotation"));
         }
         let time = self.graph().and_then(|g| g.nodes.get(&id)).copied();
         if time.is_some_and(|t| t != data.timestamp) {
-            self.warn(FindingKind::Time, format!("node {id:?} has another time in the pose graph"));
+            self.warn(FindingKind::Time, format!("node {id:?} has a different time in the pose graph"));
         }
         let clouds = [
             &data.filtered_gravity_aligned_point_cloud,
@@ -150,7 +153,7 @@ impl Check {
                     return self.error(FindingKind::MissingPart, "a landmark message without content");
                 };
                 for seen in &landmarks.landmark_observations {
-                    let name = format!("landmark {:?} as seen", String::from_utf8_lossy(&seen.id));
+                    let name = format!("an observation of landmark {:?}", String::from_utf8_lossy(&seen.id));
                     self.pose(&name, seen.landmark_to_tracking_transform.as_ref());
                 }
             }

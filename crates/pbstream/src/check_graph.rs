@@ -26,7 +26,7 @@ fn check_trajectory(check: &mut Check, trajectory: &Trajectory, ids: &mut GraphI
     let t = trajectory.trajectory_id;
     ids.order.push(t);
     if t < 0 || !ids.trajectories.insert(t) {
-        check.error(FindingKind::DuplicateId, format!("trajectory {t} is there twice or negative"));
+        check.error(FindingKind::DuplicateId, format!("trajectory {t} is repeated or negative"));
     }
     for submap in &trajectory.submap {
         let i = submap.submap_index;

@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn honest_messages_pass() {
+    fn valid_messages_pass() {
         let constraint = [0x1a, 60].iter().copied().chain([0x0a; 60]).collect::<Vec<u8>>();
         assert!(decoded_size(&bomb(1, 2, &constraint, 1_000_000)) < MAX_DECODED_BYTES / 2);
     }

@@ -48,7 +48,7 @@ pub fn check_grid_2d(grid: &Grid2D) -> GridReport {
     let found = grid.cells.len();
     if size.num_x_cells < 0 || size.num_y_cells < 0 || usize::try_from(stated) != Ok(found) {
         let (x, y) = (size.num_x_cells, size.num_y_cells);
-        return GridReport::broken(format!("the grid says it has {x} x {y} cells but has {found}"));
+        return GridReport::broken(format!("the grid states {x} x {y} cells but has {found}"));
     }
     let mut bad_cells = grid.cells.iter().filter(|c| is_bad(**c)).count();
     match &grid.grid {

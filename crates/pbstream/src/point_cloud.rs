@@ -162,7 +162,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn packing_again_changes_nothing(points in prop::collection::vec(prop::array::uniform3(-900.0f32..900.0), 0..60)) {
+        fn repacking_is_exact(points in prop::collection::vec(prop::array::uniform3(-900.0f32..900.0), 0..60)) {
             let points: Vec<_> = points.into_iter().map(Point3f::from).collect();
             let once = compress(&points).unwrap();
             let back = decompress(&once).unwrap();

@@ -247,7 +247,7 @@ fn bombs_are_refused_and_the_rest_is_read() {
 }
 
 #[test]
-fn writing_fails_where_it_must() {
+fn invalid_writes_fail() {
     let folder = tempfile::tempdir().unwrap();
     let error = PbstreamWriter::create(folder.path().join("no/map.pbstream")).err().unwrap();
     assert!(error.to_string().contains("does not exist"), "{error}");

@@ -19,7 +19,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
     // The frame whose poses the trajectory holds.
     let tracking_frame = Some("base_link".to_owned());
     let ingest = IngestOptions { tracking_frame, ..IngestOptions::default() };
-    // Points nearer than 0.3 m are of whoever carries the lidar.
+    // Points nearer than 0.3 m are of the person who carries the lidar.
     let mut points = PointStore::new(0.3);
     for measurement in Ingestion::new(&simulation, &ingest)? {
         if let (_, Measurement::Range(sweep)) = measurement? {
@@ -47,7 +47,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
     let corrected = input.iter().map(|(time, pose)| (*time, refined.trajectory.corrected(*time, pose)));
     let corrected: Vec<(Time, Rigid3)> = corrected.collect();
     let [before, refined, exact] = [&input, &corrected, &truth].map(|poses| length(poses));
-    writeln!(out, "length of the way: {before:.3} m before, {refined:.3} m refined, {exact:.3} m in truth")?;
+    writeln!(out, "path length: {before:.3} m before, {refined:.3} m refined, {exact:.3} m in truth")?;
     Ok(())
 }
 

@@ -23,7 +23,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
     let known = KnownMaps {
         files: vec![first_day.join("map.pbstream")],
         frozen: FrozenTrajectories::All,
-        // Nobody says where it starts: it is searched in the whole map, which may take some metres of the way.
+        // Without a start the whole map is searched, which may take some metres of path.
         start: None,
     };
     let second_day = simulate(2, 20.0)?;

@@ -43,7 +43,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
     // What the messages mean: points with times, in metres, in the tracking frame.
     let ingestion = Ingestion::new(recording.as_ref(), &IngestOptions::default())?;
     for notice in &ingestion.plan().notices {
-        writeln!(out, "{}", notice.what)?;
+        writeln!(out, "{}", notice.text)?;
     }
     let mut points = 0;
     for measurement in ingestion {

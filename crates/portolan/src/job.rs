@@ -263,12 +263,12 @@ impl<'a> Job<'a> {
     }
 
     /// Closes the journal, which stays if the rest can be mapped with it.
-    fn end_journal(&self, stays: bool, observe: &mut Observer) {
+    fn end_journal(&self, is_kept: bool, observe: &mut Observer) {
         let Some(journal) = &self.journal else { return };
         let (file, written) = journal.close();
         let reason = written.err().map(|error| error.to_string());
         match (file, reason) {
-            (Some(path), reason) if stays => {
+            (Some(path), reason) if is_kept => {
                 event::remark(observe, Remark::JournalLeft { path, ends_early: reason });
             }
             (file, reason) => {

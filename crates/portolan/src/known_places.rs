@@ -57,7 +57,7 @@ impl<S: KnownMapSpace> KnownPlaces<S> {
     pub fn begin(&self, mapper: &mut Mapper<S>) -> Result<(), MapperError> {
         let Some(tracker) = &self.tracker else { return Ok(()) };
         let known = tracker.known_submaps().clone();
-        mapper.tell_pose_graph(move |graph| graph.leave_to_tracker(known))
+        mapper.enqueue_pose_graph_work(move |graph| graph.leave_to_tracker(known))
     }
 
     /// Adds the matching results of scans.
@@ -66,7 +66,7 @@ impl<S: KnownMapSpace> KnownPlaces<S> {
         for scan in scans {
             let found = tracker.add(scan);
             if let Some(place) = found.filter(|_| scan.inserted.is_some()) {
-                mapper.tell_pose_graph(move |graph| graph.look_where_found(&place))?;
+                mapper.enqueue_pose_graph_work(move |graph| graph.look_where_found(&place))?;
             }
         }
         Ok(())
@@ -76,7 +76,7 @@ impl<S: KnownMapSpace> KnownPlaces<S> {
     pub fn finish(self, mapper: &mut Mapper<S>) -> Result<(), MapperError> {
         let Some(tracker) = self.tracker else { return Ok(()) };
         let found = tracker.found();
-        mapper.tell_pose_graph(move |graph| {
+        mapper.enqueue_pose_graph_work(move |graph| {
             graph.tie_found(&found);
         })
     }

@@ -437,9 +437,9 @@ pub fn map_recording<S: KnownMapSpace>(
     let losses = mapper.losses().to_vec();
     let was_read = !interrupted;
     let (mut map, mapping_issues) = mapper.finish_while(&mut |backend| {
-        let goes_on = latest.is_none_or(|latest| observe(&PipelineProgress { backend, ..latest }));
-        interrupted |= !goes_on;
-        goes_on
+        let continues = latest.is_none_or(|latest| observe(&PipelineProgress { backend, ..latest }));
+        interrupted |= !continues;
+        continues
     })?;
     if scans == 0 || map.graph.state().nodes.is_empty() {
         let mut issues = mapping_issues;

@@ -20,12 +20,12 @@ pub(crate) fn is_silence(seconds: f64, period: f64) -> bool {
 /// Times of the first and last message of each sensor.
 #[derive(Debug, Default)]
 pub(crate) struct Silences {
-    heard: BTreeMap<SensorId, Heard>,
+    activity: BTreeMap<SensorId, Activity>,
     end: Option<Time>,
 }
 
 #[derive(Debug)]
-struct Heard {
+struct Activity {
     first: Time,
     last: Time,
     messages: u64,
@@ -34,13 +34,13 @@ struct Heard {
 impl Silences {
     pub fn add(&mut self, sensor: &SensorId, time: Time) {
         self.end = self.end.max(Some(time));
-        match self.heard.get_mut(sensor) {
-            Some(heard) => {
-                heard.last = heard.last.max(time);
-                heard.messages += 1;
+        match self.activity.get_mut(sensor) {
+            Some(activity) => {
+                activity.last = activity.last.max(time);
+                activity.messages += 1;
             }
             None => {
-                self.heard.insert(sensor.clone(), Heard { first: time, last: time, messages: 1 });
+                self.activity.insert(sensor.clone(), Activity { first: time, last: time, messages: 1 });
             }
         }
     }
@@ -49,16 +49,16 @@ impl Silences {
     /// and are left out.
     pub fn issues(&self) -> Vec<Issue> {
         let is_steady = |id: &SensorId| !matches!(id.kind, SensorKind::Landmark | SensorKind::FixedFramePose);
-        let silence = |(id, heard): (&SensorId, &Heard)| {
+        let silence = |(id, activity): (&SensorId, &Activity)| {
             let end = self.end?;
-            let silent = end.seconds_since(heard.last);
-            let period = heard.last.seconds_since(heard.first) / heard.messages.max(1) as f64;
+            let silent = end.seconds_since(activity.last);
+            let period = activity.last.seconds_since(activity.first) / activity.messages.max(1) as f64;
             let is_long = is_silence(silent, period);
             let issue = Issue::new(IssueKind::SensorSilent).of(id.id.clone());
-            let issue = issue.with_number("seconds", format_args!("{silent:.1}")).between(heard.last, end);
+            let issue = issue.with_number("seconds", format_args!("{silent:.1}")).between(activity.last, end);
             (is_long && is_steady(id)).then_some(issue)
         };
-        self.heard.iter().filter_map(silence).collect()
+        self.activity.iter().filter_map(silence).collect()
     }
 }
 
@@ -68,7 +68,7 @@ mod tests {
     use portolan_geometry::Duration;
 
     #[test]
-    fn only_sensors_that_stay_silent_are_reported() {
+    fn only_persistently_silent_sensors_are_reported() {
         let sensor = |name: &str, kind| SensorId { id: name.into(), kind };
         let mut silences = Silences::default();
         for i in 0..600 {

@@ -40,6 +40,6 @@ fn a_recording_is_read() {
 }
 
 #[test]
-fn a_format_of_ones_own_is_mapped() {
+fn a_custom_format_is_mapped() {
     own_format::main().unwrap();
 }

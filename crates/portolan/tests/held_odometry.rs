@@ -52,7 +52,7 @@ fn found(messages: usize, asked_for: Option<&str>) -> (Option<f64>, u64, usize) 
     let ingest = IngestOptions { odometry_topic: asked_for.map(str::to_owned), ..IngestOptions::default() };
     let prepared = portolan::pipeline::prepare(recording.as_ref(), &ingest, None).unwrap();
     let plan = prepared.plan.clone();
-    let is_noted = plan.notices.iter().any(|notice| notice.what.contains("repeats its last pose"));
+    let is_noted = plan.notices.iter().any(|notice| notice.text.contains("repeats its last pose"));
     assert_eq!(is_noted, messages > 1);
     let hold = plan.longest_odometry_hold;
     let mut ingestion =
@@ -66,7 +66,7 @@ fn found(messages: usize, asked_for: Option<&str>) -> (Option<f64>, u64, usize) 
 }
 
 #[test]
-fn repeats_are_no_measurements_where_scans_move() {
+fn repeated_odometry_is_ignored_while_scans_move() {
     let (hold, left_out, _) = found(1, None);
     assert_eq!((hold, left_out), (None, 0));
     // 50 messages a second.

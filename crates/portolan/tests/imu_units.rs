@@ -1,4 +1,5 @@
-//! IMUs in other units, with other signs, and mounted otherwise than the transforms say, beside lidars that tell so.
+//! IMUs in other units, with other signs, and mounted differently from the transforms, as rotations of lidars
+//! show.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use portolan::geometry::{Vector3, quaternion_from_angle_axis};
@@ -57,7 +58,7 @@ fn planned(world: &World, change: fn(&mut Imu)) -> (Option<PlannedImu>, Vec<Stri
     Box::new(writer).finish().unwrap();
     let recording = open_all(&[bag]).unwrap();
     let plan = portolan::pipeline::prepare(recording.as_ref(), &IngestOptions::default(), None).unwrap().plan;
-    (plan.imu, plan.notices.into_iter().map(|notice| notice.what).collect())
+    (plan.imu, plan.notices.into_iter().map(|notice| notice.text).collect())
 }
 
 fn scale(imu: &mut Imu, factor: f64) {

@@ -124,7 +124,7 @@ fn moved_furniture_is_moved_in_the_map() {
 }
 
 #[test]
-fn an_unchanged_building_stays_as_it_was() {
+fn an_unchanged_building_does_not_change_the_map() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("updated.pbstream");
     let found = find(&drive(2, 0, 120.0), &known().map(), Some((&path, Growth::Renew)), 1);

@@ -21,7 +21,7 @@ use portolan::recording::{Recording, RecordingWriter, create, open_all};
 use portolan::simulator::{ScenarioOptions, Simulation};
 use portolan::worlds::two_d::{Material, Scene, Shape};
 
-/// A drive through an office; another day, another way through it.
+/// A drive through an office; another day, another path through it.
 fn drive(building: u64, day: u64, seconds: f64) -> Simulation {
     let options = ScenarioOptions {
         building_seed: Some(building),
@@ -117,7 +117,7 @@ fn a_landmark_of_the_map_is_a_start_like_any_other() {
 
 /// Offices of one kind look alike: of thirty, three pass for the known one for a while (docs/experiments/2026-11-believing-places.md).
 #[test]
-fn hardly_anything_is_found_in_another_building() {
+fn poses_are_rarely_found_in_another_building() {
     let found_in = |building: u64, start: Option<StartPose>| {
         let found = find(&drive(building, 2, 40.0), start);
         assert_eq!(found.poses().is_empty(), found.found() == Found::Never);
@@ -151,7 +151,7 @@ fn kidnapped(folder: &Path) -> (Simulation, Simulation, Box<dyn Recording>) {
 }
 
 #[test]
-fn a_kidnapped_robot_knows_that_it_is_lost_and_is_found_again() {
+fn a_kidnapped_robot_is_reported_lost_and_relocalised() {
     let folder = tempfile::tempdir().unwrap();
     let (first, second, recording) = kidnapped(folder.path());
     let found = find(recording.as_ref(), None);
@@ -264,7 +264,7 @@ fn changes_near<'a>(found: &'a LocalizedRecording, kind: ChangeKind, at: &Vector
 }
 
 #[test]
-fn objects_put_into_the_building_appear_and_little_else() {
+fn added_objects_are_detected_with_few_false_changes() {
     let unchanged = find(&drive(1, 2, 60.0), None);
     let area = |found: &LocalizedRecording| found.changes.iter().map(|c| c.area).sum::<f64>();
     let (today, centre) = drive_past_a_barrel(2, 60.0);
@@ -277,7 +277,7 @@ fn objects_put_into_the_building_appear_and_little_else() {
 }
 
 #[test]
-fn objects_taken_out_of_the_building_are_gone() {
+fn removed_objects_are_detected() {
     let folder = tempfile::tempdir().unwrap();
     let (first_day, centre) = drive_past_a_barrel(2, 60.0);
     map(&first_day, MapRequest::new(folder.path()), &mut unobserved).unwrap();
@@ -291,7 +291,7 @@ fn objects_taken_out_of_the_building_are_gone() {
 }
 
 #[test]
-fn a_recording_changes_nothing_in_its_own_map() {
+fn a_recording_has_no_changes_in_its_own_map() {
     let own = find(&drive(1, 1, 120.0), None);
     let area: f64 = own.changes.iter().map(|c| c.area).sum();
     assert!(area < 0.05, "{:?}", own.changes);

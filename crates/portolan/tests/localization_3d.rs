@@ -72,7 +72,7 @@ fn a_walk_becomes_a_trajectory_of_the_map() {
 }
 
 #[test]
-fn a_car_park_is_known_although_other_cars_stand_in_it() {
+fn a_car_park_with_other_cars_is_recognised() {
     let known = garage();
     let today = walk(Scene3d::Garage, 2, 2, 8.0);
     let found = find(known, &today, None);

@@ -100,7 +100,7 @@ fn a_recording_starts_at_its_fix_and_a_wrong_fix_costs_seconds() {
     let place = world_from_map * start.map_from_tracking;
     let offset =
         place.translation.vector - today.drive.truth_at(today.drive.start_time()).unwrap().translation.vector;
-    assert!(offset.xy().norm() < 10.0, "the fix lies on the way of today: {offset}");
+    assert!(offset.xy().norm() < 10.0, "the fix is on the path of today: {offset}");
     assert!(last_error(&by_itself, &today, &world_from_map) < 0.2);
 
     let searched = find(&today.recording, &path, Some(Start::Unknown)).unwrap();

@@ -11,7 +11,7 @@ use portolan::simulator::{Scenario3dOptions, Simulation3d};
 use portolan::worlds::three_d::Scene3d;
 use portolan_testing::{is_fast, left_out};
 
-/// A walk through a museum; another day, another way through the same building.
+/// A walk through a museum; another day, another path through the same building.
 fn walk(building: u64, day: u64, seconds: f64, start_time: Option<Time>) -> Simulation3d {
     let mut options = Scenario3dOptions::new(Scene3d::Museum, day, 1);
     options.building_seed = Some(building);
@@ -52,7 +52,7 @@ fn mapped(walks: [&Simulation3d; 2], folder: &Path) -> (serde_json::Value, Vec<(
 }
 
 #[test]
-fn a_scanner_that_was_carried_elsewhere_is_found_again_by_loop_closures() {
+fn a_carried_scanner_is_relocalised_by_loop_closures() {
     if is_fast() {
         return left_out("a walk that goes on elsewhere in 3D");
     }
@@ -65,7 +65,7 @@ fn a_scanner_that_was_carried_elsewhere_is_found_again_by_loop_closures() {
     assert_eq!(lost["is_connected"], true);
     let since = lost["from"].as_f64().unwrap() - carried_at.unix_seconds();
     assert!((0.0..0.3).contains(&since), "{since}");
-    // As seen from the first pose, the whole way is right.
+    // Relative to the first pose the whole path is correct.
     let world_from_map = first.truth_at(trajectory[0].0).unwrap() * trajectory[0].1.inverse();
     let error = |(time, pose): &(Time, Rigid3)| {
         let walk = if *time < carried_at { &first } else { &second };
@@ -77,7 +77,7 @@ fn a_scanner_that_was_carried_elsewhere_is_found_again_by_loop_closures() {
 }
 
 #[test]
-fn scans_of_another_building_stay_a_separate_piece() {
+fn scans_of_another_building_remain_a_separate_piece() {
     if is_fast() {
         return left_out("a walk that goes on in another building");
     }

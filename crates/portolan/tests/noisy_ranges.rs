@@ -14,7 +14,7 @@ enum Fault {
     None,
     /// Noise with this standard deviation, metres.
     Noise(f64),
-    /// This share of the readings ends on the way.
+    /// This share of the readings ends before the wall.
     Dust(f64),
 }
 
@@ -66,7 +66,7 @@ fn ingested(fault: Fault, range_noise: RangeNoise) -> (Option<f64>, Vec<Vec<f64>
     let prepared = portolan::pipeline::prepare(recording.as_ref(), &ingest, None).unwrap();
     let plan = prepared.plan.clone();
     let noise = plan.range.first().unwrap().range_noise;
-    let is_noted = plan.notices.iter().any(|notice| notice.what.contains("smoothed along walls"));
+    let is_noted = plan.notices.iter().any(|notice| notice.text.contains("smoothed along walls"));
     assert_eq!(is_noted, noise.is_some() && range_noise == RangeNoise::Auto);
     let mut ingestion =
         Ingestion::with_plan(recording.as_ref(), prepared.inventory(), plan, &ingest).unwrap();

@@ -47,7 +47,7 @@ fn notices_of(distort: fn(Rigid2) -> Rigid2, ingest: &IngestOptions) -> (String,
     let recording = open_all(&[bag]).unwrap();
     let plan = portolan::pipeline::prepare(recording.as_ref(), ingest, None).unwrap().plan;
     let notices =
-        plan.notices.iter().map(|notice| notice.what.as_str()).filter(|what| what.contains("scans"));
+        plan.notices.iter().map(|notice| notice.text.as_str()).filter(|what| what.contains("scans"));
     (notices.collect::<Vec<_>>().join("\n"), plan.odometry.is_some())
 }
 
@@ -58,7 +58,7 @@ fn turned(pose: Rigid2) -> Rigid2 {
 }
 
 #[test]
-fn odometry_that_moves_otherwise_than_scans_is_named_and_left_out() {
+fn odometry_that_contradicts_scans_is_reported_and_left_out() {
     let free = IngestOptions::default();
     assert_eq!(notices_of(|pose| pose, &free), (String::new(), true));
     for (distort, words) in [

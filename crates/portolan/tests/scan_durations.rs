@@ -37,7 +37,7 @@ fn planned(is_silent: bool, ingest: &IngestOptions) -> Option<f64> {
     Box::new(writer).finish().unwrap();
     let recording = open_all(&[bag]).unwrap();
     let plan = portolan::pipeline::prepare(recording.as_ref(), ingest, None).unwrap().plan;
-    let is_noted = plan.notices.iter().any(|notice| notice.what.contains("scans of /scan are taken to last"));
+    let is_noted = plan.notices.iter().any(|notice| notice.text.contains("scans of /scan are taken to last"));
     let duration = plan.range.first().unwrap().scan_duration;
     assert_eq!(is_noted, duration.is_some_and(|seconds| seconds > 0.0));
     duration

@@ -46,7 +46,7 @@ fn planned(jitter: f64, stamps: StampPolicy) -> Option<f64> {
     let recording = open_all(&[bag]).unwrap();
     let ingest = IngestOptions { stamps, ..IngestOptions::default() };
     let plan = portolan::pipeline::prepare(recording.as_ref(), &ingest, None).unwrap().plan;
-    let is_noted = plan.notices.iter().any(|notice| notice.what.contains("stamps of /scan jitter"));
+    let is_noted = plan.notices.iter().any(|notice| notice.text.contains("stamps of /scan jitter"));
     let jitter = plan.range.first().unwrap().source.jitter;
     assert_eq!(is_noted, jitter.is_some());
     jitter.map(|jitter| jitter.noise.of_stamps)

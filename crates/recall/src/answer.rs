@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn every_bit_comes_back() {
+    fn every_bit_round_trips() {
         let rotation = Quaternion::new_unchecked(na::Quaternion::new(-0.1, 0.2, -0.0, 0.974_68));
         let pose = Rigid3::from_parts(Vector3::new(-0.0, 1e-300, 7.0).into(), rotation);
         let read = back(&pose).unwrap();
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn words_of_something_else_are_refused() {
+    fn words_of_other_types_are_refused() {
         assert_eq!(Words::new(&[2]).whole::<bool>(), None);
         assert_eq!(Words::new(&[u64::MAX, 1, 2]).whole::<Vec<f64>>(), None);
         assert_eq!(Words::new(&[1 << 40]).whole::<f32>(), None);

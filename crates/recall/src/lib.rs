@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_answered_once_is_not_computed_again() {
+    fn recorded_answers_are_not_computed_again() {
         let memory = Memory::new(Arc::new(Notes::default()));
         let mut computed = 0;
         let roots = [2.0, 3.0, 2.0].map(|of| root(&memory, of, &mut computed));
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn answers_that_are_none_are_not_believed() {
+    fn invalid_answers_are_computed_again() {
         let notes = Arc::new(Notes::default());
         let memory = Memory::new(notes.clone());
         let mut computed = 0;

@@ -349,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn a_truncated_file_gives_what_is_there() {
+    fn a_truncated_file_gives_its_remaining_lines() {
         let text: Vec<u8> =
             (0..20_000).flat_map(|i| format!("line {}\n", i * 7919 % 10_007).into_bytes()).collect();
         let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());

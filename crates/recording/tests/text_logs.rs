@@ -1,6 +1,6 @@
 //! Text logs of real robots, and text that is none.
 
-#![allow(clippy::unwrap_used, clippy::panic)] // tests say what is wrong that way
+#![allow(clippy::unwrap_used, clippy::panic)] // failures of tests are panics
 
 use std::io::Write;
 use std::path::Path;
@@ -126,7 +126,7 @@ proptest! {
 }
 
 #[test]
-fn a_truncated_log_gives_what_is_left_and_says_so() {
+fn a_truncated_log_gives_its_remaining_messages_and_reports_the_loss() {
     let Some(path) = real_data("lidar2d/fr079/fr079.clf.bz2") else { return };
     let bytes = std::fs::read(path).unwrap();
     let directory = tempfile::tempdir().unwrap();

@@ -113,12 +113,12 @@ fn outer_iteration(
             break;
         }
     }
-    let mut beliefs = Beliefs { odometry: options.odometry, kernel: KERNEL * options.max_distance };
+    let mut noise = NoiseModels { odometry: options.odometry, kernel: KERNEL * options.max_distance };
     let mut queries: Vec<Vec<u32>> =
         sections.links.iter().map(|link| sections.queries(*link, ELEMENT_QUERIES)).collect();
     for _ in 0..ELEMENT_ITERATIONS {
-        let step = move_elements(session, &sections, &mut queries, options, &beliefs)?;
-        beliefs = beliefs.learned(session, &step);
+        let step = move_elements(session, &sections, &mut queries, options, &noise)?;
+        noise = noise.learned(session, &step);
         if !note(session, step, observe) || step.shift < ELEMENTS_REST {
             break;
         }
@@ -128,13 +128,13 @@ fn outer_iteration(
 
 /// Current noise models of input and pairs.
 #[derive(Clone, Copy)]
-struct Beliefs {
+struct NoiseModels {
     odometry: OdometryNoise,
     /// Scale of the robust kernel, metres.
     kernel: f64,
 }
 
-impl Beliefs {
+impl NoiseModels {
     /// Updates the noise models. An input that is better than assumed gets more weight, so that elements with
     /// few surfaces follow it. Pairs that scatter less than assumed make it clearer which of them are wrong.
     fn learned(self, session: &mut Session, step: &RefineStep) -> Self {
@@ -156,9 +156,9 @@ fn note(
     observe: &mut dyn FnMut(&Session, &RefineStep) -> bool,
 ) -> bool {
     session.report.steps.push(step);
-    let go_on = observe(session, &step);
-    session.report.stopped |= !go_on;
-    go_on
+    let continues = observe(session, &step);
+    session.report.stopped |= !continues;
+    continues
 }
 
 /// One iteration with rigid sections: pairs are searched at their current poses, and everything is solved for
@@ -218,16 +218,16 @@ fn move_elements(
     sections: &Sections,
     queries: &mut [Vec<u32>],
     options: &SemiRigidOptions,
-    beliefs: &Beliefs,
+    noise: &NoiseModels,
 ) -> Result<RefineStep, RefineError> {
     let elements = Knots::new(session.trajectory.duration(), options.element);
-    let mut pairs = element_pairs(session, sections, queries, &elements, options, beliefs);
+    let mut pairs = element_pairs(session, sections, queries, &elements, options, noise);
     let weights: f64 = pairs.iter().map(|p| f64::from(p.weight)).sum();
     let squares: f64 = pairs.iter().map(|p| f64::from(p.weight) * f64::from(p.residual).powi(2)).sum();
     let variance = (squares / weights.max(1e-12)).max(LEAST_DEVIATION * LEAST_DEVIATION);
     pairs.iter_mut().for_each(|p| p.weight /= variance as f32);
     let terms = pairs.len();
-    let increment = solve_elements(&session.trajectory, &elements, pairs, beliefs)?;
+    let increment = solve_elements(&session.trajectory, &elements, pairs, noise)?;
     session.trajectory.apply(&elements, &increment);
     Ok(RefineStep {
         stage: "elements",
@@ -246,11 +246,11 @@ fn element_pairs(
     queries: &mut [Vec<u32>],
     elements: &Knots,
     options: &SemiRigidOptions,
-    beliefs: &Beliefs,
+    noise: &NoiseModels,
 ) -> Vec<ElementPair> {
     let poses = sections.poses(session);
     let matrices = session.trajectory.matrices();
-    let kernel = RobustKernel::Cauchy(beliefs.kernel);
+    let kernel = RobustKernel::Cauchy(noise.kernel);
     let of_link = |(link, queries): (&Link, &mut Vec<u32>)| -> Vec<ElementPair> {
         let ends = [link.from, link.to].map(|i| &sections.sections[i].measured);
         let linearised = |pair: PointPair| {
@@ -284,10 +284,10 @@ fn solve_elements(
     trajectory: &DenseTrajectory,
     elements: &Knots,
     pairs: Vec<ElementPair>,
-    beliefs: &Beliefs,
+    noise: &NoiseModels,
 ) -> Result<Vec<f64>, RefineError> {
     let equations = ElementEquations::new(pairs, elements);
-    let motion = odometry_terms(trajectory, elements, beliefs.odometry);
+    let motion = odometry_terms(trajectory, elements, noise.odometry);
     let motion = MotionBlocks::new(&motion, &[], elements.count());
     let preconditioner = motion.preconditioner(|diagonal, below| equations.add_blocks(diagonal, below));
     let preconditioner = preconditioner.ok_or(FAILED)?;

@@ -54,7 +54,7 @@ fn a_wrong_place_and_clock_of_a_lidar_are_found() {
 
 #[test]
 fn parameters_that_the_motion_does_not_constrain_are_named() {
-    // In a corridor nobody knows how far along it the second lidar sits.
+    // In a corridor the position of the second lidar along it is unobservable.
     let walls = room([-100.0, -1.0, 0.0], [200.0, 1.2, 2.6]);
     let points = scan_with(&mounted(mount(), 0.0), &walls, straight, 8.0, 60);
     let options = ContinuousOptions { calibrate_lidars: true, ..ContinuousOptions::default() };

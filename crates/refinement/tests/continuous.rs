@@ -45,7 +45,7 @@ fn drift_and_short_errors_are_found_in_a_room() {
 }
 
 #[test]
-fn a_perfect_trajectory_stays_perfect() {
+fn a_perfect_trajectory_remains_perfect() {
     let truth = poses(circles, 10.0);
     let points = scan(&furnished(), circles, 10.0, 90);
     let refined = refine(&points, &truth);
@@ -54,7 +54,7 @@ fn a_perfect_trajectory_stays_perfect() {
 }
 
 #[test]
-fn nothing_is_corrected_along_a_corridor() {
+fn no_correction_is_made_along_a_corridor() {
     let walls = room([-100.0, -1.0, 0.0], [200.0, 1.2, 2.6]);
     let points = scan(&walls, straight, 10.0, 120);
     let truth = poses(straight, 10.0);
@@ -168,7 +168,7 @@ fn stopping_keeps_the_result_so_far() {
         };
         let refined =
             refine_continuous(&points, &input, &ContinuousOptions::default(), &mut observe).unwrap();
-        // It asks before work that takes a while, too, and no more once it was told to stop.
+        // The observer is also called before long steps, and not again once it has requested a stop.
         assert!(refined.report.stopped && left == 0 && refined.report.steps.len() < asked, "{asked}");
         let error = errors(&truth, &corrected(&refined, &input)).0;
         assert!(error <= errors(&truth, &input).0, "{asked}: {error}");

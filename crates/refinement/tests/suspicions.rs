@@ -1,4 +1,4 @@
-//! Inputs that are wrong are told from inputs that are only inexact, and named.
+//! Wrong inputs are distinguished from inexact ones, and reported.
 #![allow(clippy::unwrap_used)] // tests
 
 mod synthetic;
@@ -107,7 +107,7 @@ fn invalid_poses_are_refused() {
 }
 
 #[test]
-fn a_lidar_that_sits_elsewhere_is_suspected() {
+fn a_wrong_lidar_mounting_is_suspected() {
     if is_fast() {
         return;
     }

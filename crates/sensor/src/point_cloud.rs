@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn intensities_stay_with_their_points() {
+    fn intensities_remain_with_their_points() {
         let cloud = PointCloud {
             points: vec![Point3f::new(0.0, 0.0, 0.0), Point3f::new(1.0, 0.0, 0.0)],
             intensities: vec![5.0, 6.0],

@@ -1,4 +1,4 @@
-//! Writes a simulated recording with its truth, and tells how long it took.
+//! Writes a simulated recording with its truth, and prints the time it took.
 //!
 //! ```text
 //! cargo run --release -p portolan-simulator --example write_recording -- office 1 300 out/office.bag [FAULT ...]

@@ -164,8 +164,8 @@ pub(crate) trait Rig: Send + Sync + Sized + 'static {
             .iter()
             .any(|fault| matches!(fault, Fault::Gap { .. } | Fault::Death { .. }));
         let Some(filter) = self.fault_filter(source).filter(|_| has_gaps) else { return schedule.count() };
-        let stays = |index: &u64| !filter.is_gap(schedule.time_of(*index).seconds());
-        (0..schedule.count()).filter(stays).count() as u64
+        let is_kept = |index: &u64| !filter.is_gap(schedule.time_of(*index).seconds());
+        (0..schedule.count()).filter(is_kept).count() as u64
     }
 
     /// The transforms from the platform to its sensors, without those that a fault removes.

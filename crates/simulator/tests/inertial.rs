@@ -78,7 +78,7 @@ fn a_perfect_imu_integrates_to_the_truth() {
 }
 
 #[test]
-fn imu_noise_and_bias_have_the_asked_size() {
+fn imu_noise_and_bias_have_the_requested_size() {
     let imu = ImuOptions { rate: 100.0, ..ImuOptions::default() };
     let noise_deviation = imu.accelerometer_noise * 10.0;
     let mut biases = Vec::new();
@@ -119,7 +119,7 @@ fn perfect_wheels_follow_the_truth() {
     }
 }
 
-/// Largest error of odometry over 10 m of way, as a fraction, and per radian turned, on average.
+/// Largest error of odometry over 10 m of path, as a fraction, and per radian turned, on average.
 fn drift(options: &OdometryOptions, seed: u64) -> (f64, f64) {
     let scenario = ScenarioOptions {
         seed,

@@ -124,7 +124,7 @@ fn undistorted_scans_are_on_the_walls() {
 }
 
 #[test]
-fn range_noise_has_the_asked_deviation() {
+fn range_noise_has_the_requested_deviation() {
     let lidar = LidarOptions {
         range_noise: 0.02,
         range_noise_relative: 0.01,
@@ -147,7 +147,7 @@ fn range_noise_has_the_asked_deviation() {
 }
 
 #[test]
-fn missing_returns_are_written_as_asked() {
+fn missing_returns_are_written_as_requested() {
     type Check = fn(f32) -> bool;
     let expected: [(NoReturn, Check); 4] = [
         (NoReturn::Infinity, |r| r == f32::INFINITY),
@@ -175,7 +175,7 @@ fn missing_returns_are_written_as_asked() {
 }
 
 #[test]
-fn drop_outs_come_as_often_as_asked() {
+fn drop_outs_have_the_requested_rate() {
     let lidar = LidarOptions { drop_out: 0.2, ..LidarOptions::default().without_noise() };
     let simulation = in_box_room(lidar, standing(4.0, 3.0, 0.0));
     let scans: Vec<LaserScan> = (0..40).map(|i| simulation.scan(0, i).unwrap()).collect();
@@ -216,7 +216,7 @@ fn mixed_pixels_are_between_the_two_surfaces() {
 }
 
 #[test]
-fn panes_are_passed_mostly_and_seen_head_on() {
+fn panes_are_transparent_except_head_on() {
     let lidar = LidarOptions { glass_returns: true, ..LidarOptions::default().without_noise() };
     let simulation =
         Simulation::with_walk(options(lidar), pillar_and_pane(true), standing(0.88, 3.0, 0.0)).unwrap();

@@ -20,7 +20,7 @@ fn check_smooth(walk: &Walk, limits: &MotionLimits) -> f64 {
         let (p, q, r) = (walk.state_2d(time - h), walk.state_2d(time), walk.state_2d(time + h));
         assert!(((r.heading - p.heading) / (2.0 * h) - q.turn_rate).abs() < 1e-4, "turn rate at {time}");
         assert!(((r.turn_rate - p.turn_rate) / (2.0 * h) - q.turn_acceleration).abs() < 2e-3);
-        assert!(((r.travelled - p.travelled) / (2.0 * h) - q.speed).abs() < 1e-4, "way at {time}");
+        assert!(((r.travelled - p.travelled) / (2.0 * h) - q.speed).abs() < 1e-4, "path at {time}");
         assert!(q.speed >= -1e-9 && q.speed <= limits.speed + 1e-9);
         assert!(q.acceleration.abs() <= 1.001 * limits.acceleration);
         assert!(q.turn_rate.abs() <= limits.turn_rate + 1e-9);
@@ -93,7 +93,7 @@ fn durations_are_kept() {
 }
 
 #[test]
-fn stops_are_reached_and_odd_waypoints_survived() {
+fn stops_are_reached_and_unusual_waypoints_handled() {
     let waypoint = |x: f64, y: f64, stop: Option<f64>| Waypoint { position: Vector2::new(x, y), stop };
     let limits = MotionLimits::default();
     let points = [

@@ -143,7 +143,7 @@ fn stamps_can_be_duplicated_or_go_backward() {
 }
 
 #[test]
-fn gaps_and_clock_offsets_are_where_they_should_be() {
+fn gaps_and_clock_offsets_have_the_requested_times() {
     let simulation = with_faults(&["gap:odom:5:7.5", "clock:odom:-0.1"]);
     let times = stamps(&simulation, "/odom");
     assert!(times.iter().all(|t| !(4.95..7.35).contains(t)));

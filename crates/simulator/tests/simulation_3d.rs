@@ -33,7 +33,7 @@ fn all_messages(recording: &dyn Recording) -> Vec<RecordedMessage> {
     std::iter::from_fn(|| reader.next_message().unwrap()).collect()
 }
 
-/// Every point, placed by the true pose at its own time, lies on a wall of a box-shaped room.
+/// Every point, placed by the true pose at its own time, is on a wall of a box-shaped room.
 #[test]
 fn moving_sweeps_show_the_room_as_it_is() {
     let mut draft = SolidDraft::default();

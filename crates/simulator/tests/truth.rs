@@ -49,7 +49,7 @@ fn walls_are_written_as_segments() {
 }
 
 #[test]
-fn the_occupancy_picture_has_walls_where_scans_end_and_freedom_where_the_robot_is() {
+fn the_occupancy_picture_has_walls_where_scans_end_and_free_space_at_the_robot() {
     for scene in Scene::ALL {
         let simulation = simulation(scene);
         let picture = simulation.occupancy(0.05);

@@ -45,7 +45,7 @@ fn graph_2d(graph: &Graph) -> &PoseGraph<Rigid2> {
 }
 
 #[test]
-fn files_come_back_as_they_were() {
+fn files_round_trip_unchanged() {
     for text in [GRAPH_2D, GRAPH_3D] {
         let (graph, repairs) = read(text).unwrap();
         assert!(repairs.is_empty());
@@ -86,7 +86,7 @@ fn optimisation_closes_the_square() {
 }
 
 #[test]
-fn oddities_are_counted_and_mended() {
+fn irregularities_are_counted_and_repaired() {
     let text = format!(
         "{GRAPH_2D}VERTEX_SE2 0 5 5 5\nVERTEX_SE2 9 nan 0 0\nVERTEX_XY 4 1 1\nVERTEX_XY 5 1 1\n\
          EDGE_SE2 3 9 1 0 0 1 0 0 1 0 1\nEDGE_SE2 10 9 1 0 0 1 0 0 1 0 1\nEDGE_SE2 0 0 1 0 0 1 0 0 1 0 1\n\
@@ -104,7 +104,7 @@ fn oddities_are_counted_and_mended() {
 }
 
 #[test]
-fn immense_numbers_make_up_no_pose() {
+fn immense_numbers_are_not_accepted_as_poses() {
     let edge = "EDGE_SE2 0 1 1 0 1e308 100 0 0 100 0 400\n";
     let text =
         format!("VERTEX_SE2 0 0 0 1e308\nVERTEX_SE2 2 0 0 1e99\n{edge}EDGE_SE2 2 1 1 0 1e99 1 0 0 1 0 1\n");
@@ -129,7 +129,7 @@ fn quaternions_are_normalised_or_refused() {
 }
 
 #[test]
-fn damage_is_named_with_its_line() {
+fn damage_is_reported_with_its_line() {
     let line_of = |text: &str| match read(text) {
         Err(G2oError::Malformed { line, .. } | G2oError::MixedDimensions { line, .. }) => line,
         other => panic!("{other:?}"),
@@ -152,12 +152,12 @@ fn parts_without_a_fixed_vertex_are_anchored() {
     let report = optimize_graph(&mut graph, &OptimizeOptions::default()).unwrap();
     assert_eq!((report.components, report.anchored.as_slice()), (3, [30, 20].as_slice()));
     assert!(report.termination.is_convergence());
-    let lonely = graph_2d(&graph).vertices.iter().find(|v| v.id == 30).unwrap();
-    assert_eq!(lonely.pose, Rigid2::new(1.0, 1.0, 1.0));
+    let isolated = graph_2d(&graph).vertices.iter().find(|v| v.id == 30).unwrap();
+    assert_eq!(isolated.pose, Rigid2::new(1.0, 1.0, 1.0));
 }
 
 #[test]
-fn indefinite_and_empty_information_are_survived() {
+fn indefinite_and_empty_information_is_handled() {
     let text = GRAPH_2D
         .replace("50 1 0 50 0 100", "50 90 0 50 0 -100")
         .replace("2 3 1 0 1.5707963267948966 100 0 0 100 0 400", "2 3 1 0 1.5 0 0 0 0 0 0");
@@ -174,7 +174,7 @@ fn indefinite_and_empty_information_are_survived() {
 }
 
 #[test]
-fn a_robust_loss_overrules_a_false_closure() {
+fn a_robust_loss_rejects_a_false_loop_closure() {
     let chain: String =
         (0..20).map(|i| format!("EDGE_SE2 {i} {} 1 0 0.1 100 0 0 100 0 400\n", i + 1)).collect();
     let good = (0..15).map(|i| {
@@ -202,8 +202,8 @@ fn graphs_made_by_hand_are_checked() {
     assert!(write_g2o(&graph, Vec::new()).is_err());
     let result = optimize_graph(&mut graph, &OptimizeOptions::default());
     assert!(matches!(result, Err(GraphError::UnknownVertex { edge: 2, vertex: 99, count: 4 })));
-    let mut nothing = Graph::ThreeD(PoseGraph::default());
-    assert!(matches!(optimize_graph(&mut nothing, &OptimizeOptions::default()), Err(GraphError::NoVertices)));
+    let mut empty = Graph::ThreeD(PoseGraph::default());
+    assert!(matches!(optimize_graph(&mut empty, &OptimizeOptions::default()), Err(GraphError::NoVertices)));
     let mut far = read(GRAPH_2D).unwrap().0;
     let Graph::TwoD(inner) = &mut far else { panic!("not in 2D") };
     inner.edges[0].measurement = Rigid2::new(1e300, 0.0, 1.57);

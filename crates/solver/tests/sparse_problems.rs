@@ -56,7 +56,7 @@ fn tight() -> SolverOptions {
 }
 
 #[test]
-fn rosenbrock_ends_in_its_valley() {
+fn rosenbrock_converges_to_its_minimum() {
     for use_nonmonotonic_steps in [false, true] {
         let mut problem = Problem::new();
         let variables = [problem.add_scalar(-1.2), problem.add_scalar(1.0)];
@@ -69,7 +69,7 @@ fn rosenbrock_ends_in_its_valley() {
 }
 
 #[test]
-fn powells_singular_function_comes_down() {
+fn powells_singular_function_converges() {
     let mut problem = Problem::new();
     let [a, b, c, d] = [3.0, -1.0, 0.0, 1.0].map(|x| problem.add_scalar(x));
     let s5 = |[x, y]: [f64; 2]| ([5f64.sqrt() * (x - y), 0.0], [[5f64.sqrt(), 0.0], [-(5f64.sqrt()), 0.0]]);
@@ -170,7 +170,7 @@ fn any_number_of_threads_gives_the_same_bits() {
 }
 
 #[test]
-fn constants_stay_and_restrictions_hold() {
+fn constant_variables_and_restrictions_are_kept() {
     let mut problem = Problem::new();
     let start = Rigid3::from_parts(
         Vector3::new(1.0, 2.0, 3.0).into(),
@@ -212,8 +212,8 @@ fn constants_stay_and_restrictions_hold() {
 
 #[test]
 fn a_factor_without_residuals_does_nothing() {
-    struct Nothing([VariableId; 2]);
-    impl Factor for Nothing {
+    struct NoResiduals([VariableId; 2]);
+    impl Factor for NoResiduals {
         fn variables(&self) -> &[VariableId] {
             &self.0
         }
@@ -228,13 +228,13 @@ fn a_factor_without_residuals_does_nothing() {
     let ids = [problem.add_scalar(1.0), problem.add_scalar(2.0)];
     problem.add_factor(prior(ids[0], 5.0, 1.0), Loss::None).unwrap();
     problem.add_factor(prior(ids[1], 6.0, 1.0), Loss::None).unwrap();
-    problem.add_factor(Nothing(ids), Loss::Huber(1.0)).unwrap();
+    problem.add_factor(NoResiduals(ids), Loss::Huber(1.0)).unwrap();
     let summary = problem.solve(&tight()).unwrap();
     assert!(summary.final_cost < 1e-12 && (problem.scalar(ids[1]) - 6.0).abs() < 1e-6);
 }
 
 #[test]
-fn gravity_stays_positive() {
+fn gravity_remains_positive() {
     let mut problem = Problem::new();
     let g = problem.add_nonnegative(9.8);
     problem.add_factor(prior(g, -3.0, 1.0), Loss::None).unwrap();
@@ -257,19 +257,19 @@ fn chain(problem: &mut Problem, n: usize) -> Vec<VariableId> {
 }
 
 #[test]
-fn problems_that_are_not_determined_still_end_well() {
+fn underdetermined_problems_are_solved() {
     // No anchor at all: the whole may float.
     let mut problem = Problem::new();
     let ids = chain(&mut problem, 5);
-    let lonely = problem.add_se2(&Rigid2::new(7.0, 7.0, 7.0));
+    let isolated = problem.add_se2(&Rigid2::new(7.0, 7.0, 7.0));
     let summary = problem.solve(&tight()).unwrap();
     assert!(summary.final_cost < 1e-12, "{summary:?}");
-    assert_eq!(problem.se2(lonely), Rigid2::new(7.0, 7.0, 7.0));
+    assert_eq!(problem.se2(isolated), Rigid2::new(7.0, 7.0, 7.0));
     assert_eq!(problem.covariance(&ids[..1]), Err(ProblemError::Singular));
     // Nothing to do.
     let mut empty = Problem::new();
     assert_eq!(empty.solve(&tight()).unwrap().iterations, 0);
-    ids.iter().chain([&lonely]).for_each(|id| problem.set_constant(*id));
+    ids.iter().chain([&isolated]).for_each(|id| problem.set_constant(*id));
     let summary = problem.solve(&tight()).unwrap();
     assert!(summary.iterations == 0 && summary.final_cost < 1e-12);
     assert!(problem.covariance(&ids).unwrap().matrix().is_empty());
@@ -315,7 +315,7 @@ fn an_observer_can_stop_and_the_best_is_kept() {
 }
 
 #[test]
-fn wrong_use_is_told() {
+fn wrong_use_is_an_error() {
     let mut problem = Problem::new();
     let x = problem.add_scalar(1.0);
     let other = {

@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn items_that_cannot_be_written_stay_in_memory() {
+    fn items_that_cannot_be_written_are_kept_in_memory() {
         let mut spool = Spool::<Pose>::in_folder(Path::new("/no such folder"));
         assert!(spool.failure().is_some() && spool.is_empty() && spool.last().is_none());
         spool.push(pose(1));

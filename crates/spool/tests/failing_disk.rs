@@ -50,7 +50,7 @@ fn lost_items_are_reported() {
             let text = error.to_string();
             assert!(text.contains("cannot be read again") && text.contains("os error"), "{text}");
         }
-        // What the disk did not tell once it may tell later.
+        // Data that could not be read once may be readable later.
         assert!(spool.iter().eq(records()), "{fault:?} at {at}: the disk is mended");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }

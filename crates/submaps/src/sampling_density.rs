@@ -62,7 +62,7 @@ mod tests {
     }
 
     #[test]
-    fn too_few_are_no_selection() {
+    fn too_few_points_give_no_selection() {
         let wall = wall(86);
         assert_eq!(densely_sampled(&wall, &wall, 0.15, 0.99), None);
         assert_eq!(densely_sampled(&PointCloud::default(), &wall, 0.15, 0.1), None);

@@ -13,7 +13,7 @@ use portolan_sensor::RangeData;
 
 use crate::GrowingSubmap;
 
-/// Makes empty submaps and inserts scans into them, as the options say.
+/// Makes empty submaps and inserts scans into them, by these options.
 #[derive(Debug)]
 pub enum Inserter2d {
     /// Into grids of probabilities: scan by scan while mapping, and once more when the map is finished.
@@ -23,7 +23,7 @@ pub enum Inserter2d {
 }
 
 impl Inserter2d {
-    /// As the options of the grid and of its inserter say. `join_surfaces`: in grids of probabilities the
+    /// By the options of the grid and of its inserter. `join_surfaces`: in grids of probabilities the
     /// surface between neighbouring returns is inserted, too.
     ///
     /// # Errors
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn a_submap_is_drawn_again_where_its_scans_are_in_the_end() {
+    fn a_submap_is_redrawn_at_the_final_poses_of_its_scans() {
         let right = [scan(1.0), scan(2.0)];
         let wrong = [scan(1.0), scan(2.0).transformed(&Rigid3f::translation(0.3, 0.0, 0.0))];
         let wrong = submap(&wrong);

@@ -14,7 +14,7 @@ use portolan_sensor::RangeData;
 
 use crate::GrowingSubmap;
 
-/// Makes empty submaps and inserts scans into them, as the options say.
+/// Makes empty submaps and inserts scans into them, by these options.
 #[derive(Debug)]
 pub struct Inserter3d {
     inserter: HybridInserter,
@@ -27,7 +27,7 @@ pub struct Inserter3d {
 }
 
 impl Inserter3d {
-    /// As the options say; histograms have `histogram_size` buckets.
+    /// By these options; histograms have `histogram_size` buckets.
     ///
     /// # Errors
     /// If a probability is on the wrong side of one half.
@@ -188,13 +188,13 @@ impl Submap3d {
         if !inserter.draws_late {
             self.draw_grids();
         } else if waiting_points >= MOST_WAITING_POINTS {
-            self.draw_grids_beside(inserter);
+            self.draw_grids_in_background(inserter);
         }
         true
     }
 
     /// Lets another thread insert the waiting scans into the grids.
-    fn draw_grids_beside(&mut self, inserter: &Arc<Inserter3d>) {
+    fn draw_grids_in_background(&mut self, inserter: &Arc<Inserter3d>) {
         let (scans, inserter) = (std::mem::take(&mut self.waiting), Arc::clone(inserter));
         let grids = || {
             let grids = [&mut self.high_resolution_grid, &mut self.low_resolution_grid];

@@ -95,7 +95,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_unfinished_is_removed() {
+    fn unfinished_files_are_removed() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         let make = |name: &str| Unfinished::create(&at(name), || fs::write(at(name), "")).unwrap().0;

@@ -152,7 +152,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_that_cannot_be_are_refused() {
+    fn impossible_numbers_are_refused() {
         assert_eq!((threads("0"), threads("256"), seconds("1.5")), (Ok(0), Ok(256), Ok(1.5)));
         assert!(threads("100000").is_err() && seconds("nan").is_err() && seconds("-1").is_err());
     }

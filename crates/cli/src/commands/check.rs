@@ -61,7 +61,8 @@ struct Finding {
     /// Topic of a recording, or message of a map.
     about: String,
     /// Description of the fault; of several of a kind, that of the first.
-    what: String,
+    #[serde(rename = "what")]
+    text: String,
     /// Number of occurrences.
     count: u64,
     /// Effect on mapping or localisation.
@@ -191,7 +192,7 @@ impl Finding {
         };
         let about = if self.about.is_empty() { String::new() } else { format!("{}: ", self.about) };
         let times = if self.count > 1 { format!(" ({} times)", self.count) } else { String::new() };
-        let mut text = format!("  {severity}: {about}{}{times}\n", self.what);
+        let mut text = format!("  {severity}: {about}{}{times}\n", self.text);
         let lines = [
             ("effect: ", self.effect.as_str()),
             ("to do:  ", &self.advice),

@@ -11,7 +11,7 @@ use portolan_config::reference;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{print, write_file};
-use crate::progress::say;
+use crate::progress::print_line;
 
 /// Show, explain and check options; Cartographer's Lua files load unchanged.
 #[derive(clap::Args)]
@@ -22,11 +22,11 @@ use crate::progress::say;
     portolan config reference -o options.md")]
 pub struct ConfigArgs {
     #[command(subcommand)]
-    what: What,
+    task: Task,
 }
 
 #[derive(clap::Subcommand)]
-enum What {
+enum Task {
     Show(show::ShowArgs),
     Explain(explain::ExplainArgs),
     Reference(ReferenceArgs),
@@ -43,11 +43,11 @@ struct ReferenceArgs {
 }
 
 pub fn run(args: &ConfigArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
-    match &args.what {
-        What::Show(args) => show::run(args, global),
-        What::Explain(args) => explain::run(args),
-        What::Reference(args) => write_reference(args, global),
-        What::Check(args) => check::run(args, global),
+    match &args.task {
+        Task::Show(args) => show::run(args, global),
+        Task::Explain(args) => explain::run(args),
+        Task::Reference(args) => write_reference(args, global),
+        Task::Check(args) => check::run(args, global),
     }
 }
 
@@ -56,7 +56,7 @@ fn write_reference(args: &ReferenceArgs, global: &GlobalArgs) -> Result<Outcome,
         Some(path) => {
             write_file(path, |out| out.write_all(reference().as_bytes()))?;
             if !global.quiet {
-                say(&format!("Wrote {}", path.display()));
+                print_line(&format!("Wrote {}", path.display()));
             }
         }
         None => print(&reference())?,

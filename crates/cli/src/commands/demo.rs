@@ -17,7 +17,7 @@ use super::simulate::write_recording;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{print_summary, write_file};
-use crate::progress::say;
+use crate::progress::print_line;
 
 /// Firings per revolution: half as many as the lidar has, so that the demo takes two minutes.
 const COLUMNS: usize = 900;
@@ -80,7 +80,7 @@ fn museum(args: &DemoArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let (file, truth_file) = (args.output.join("museum.mcap"), args.output.join("museum.truth.tum"));
     record(&simulation, &file, &truth_file, global)?;
     if !global.quiet {
-        say(&format!("{} simulated in {:.0} s", file.display(), start.elapsed().as_secs_f64()));
+        print_line(&format!("{} simulated in {:.0} s", file.display(), start.elapsed().as_secs_f64()));
     }
     let recording = open(&file)?;
     map(recording.as_ref(), &args.output, global)?;

@@ -19,11 +19,11 @@ use crate::error::{CliError, Outcome};
     portolan evaluate generate old.pbstream -o old.relations --min-covered-distance 20")]
 pub struct EvaluateArgs {
     #[command(subcommand)]
-    what: What,
+    task: Task,
 }
 
 #[derive(clap::Subcommand)]
-enum What {
+enum Task {
     Relations(relations::RelationsArgs),
     Trajectory(trajectory::TrajectoryArgs),
     Cloud(cloud::CloudArgs),
@@ -32,11 +32,11 @@ enum What {
 }
 
 pub fn run(args: &EvaluateArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
-    match &args.what {
-        What::Relations(args) => relations::run(args, global),
-        What::Trajectory(args) => trajectory::run(args, global),
-        What::Cloud(args) => cloud::run(args, global),
-        What::Generate(args) => generate::run(args, global),
-        What::Loops(args) => loops::run(args, global),
+    match &args.task {
+        Task::Relations(args) => relations::run(args, global),
+        Task::Trajectory(args) => trajectory::run(args, global),
+        Task::Cloud(args) => cloud::run(args, global),
+        Task::Generate(args) => generate::run(args, global),
+        Task::Loops(args) => loops::run(args, global),
     }
 }

@@ -14,7 +14,9 @@ use portolan_localization::{ChangeKind, Growth, Jumps, StartPose, State};
 use portolan_recording::{Recording, open_all};
 
 use super::argument::{start_pose, start_sigma};
-use super::map::{ConfigArgs, CutArgs, SensorArgs, ingest_options, nothing_left, remarks, requested_options};
+use super::map::{
+    ConfigArgs, CutArgs, SensorArgs, ingest_options, no_scans_in_cut, remarks, requested_options,
+};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::interrupt::Saving;
@@ -161,7 +163,8 @@ pub fn run(args: &LocalizeArgs, global: &GlobalArgs) -> Result<Outcome, CliError
     };
     let mut saving = None;
     let localized = localize_with_progress(recording.as_ref(), &request, &mut saving, global);
-    let localized = localized.map_err(|error| nothing_left(error.into(), recording.as_ref(), &args.cut))?;
+    let localized =
+        localized.map_err(|error| no_scans_in_cut(error.into(), recording.as_ref(), &args.cut))?;
     let seconds = begin.elapsed().as_secs_f64();
     let files = write_localized(&localized, &folder, seconds, &mut remarks(global))?;
     drop(saving);

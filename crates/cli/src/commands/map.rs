@@ -22,7 +22,7 @@ use crate::error::{CliError, Outcome};
 use crate::interrupt;
 use crate::known_map::KnownMapArgs;
 use crate::output::make_folder;
-use crate::progress::say;
+use crate::progress::print_line;
 use cloud::CloudArgs;
 pub use watching::run_job;
 
@@ -198,7 +198,7 @@ pub fn run(args: MapArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let mut job = Job::prepare(recording.as_ref(), request, &mut remarks(global))?;
     job.keep_journal(&mut remarks(global))?;
     let finished = run_job(&job, recording.as_ref(), global);
-    let summary = finished.map_err(|error| nothing_left(error, recording.as_ref(), &args.cut))?.summary;
+    let summary = finished.map_err(|error| no_scans_in_cut(error, recording.as_ref(), &args.cut))?.summary;
     Ok(match summary {
         _ if summary.is_refused() => Outcome::Untrusted,
         _ if summary.is_partial() => Outcome::DataLost,
@@ -265,7 +265,7 @@ pub fn ingest_options(
 
 /// Replaces the error that a recording has no usable scan by one that names `--skip` and `--duration`, if they were
 /// given.
-pub fn nothing_left(error: CliError, recording: &dyn Recording, cut: &CutArgs) -> CliError {
+pub fn no_scans_in_cut(error: CliError, recording: &dyn Recording, cut: &CutArgs) -> CliError {
     let length = cut.duration.map(|seconds| format!("--duration {seconds}"));
     let skip = (cut.skip > 0.0).then(|| format!("--skip {}", cut.skip));
     let cuts: Vec<String> = skip.into_iter().chain(length).collect();
@@ -288,7 +288,7 @@ pub fn remarks(global: &GlobalArgs) -> impl FnMut(&Event) -> ControlFlow<()> + u
                 Remark::LittleEffect { .. } => tracing::warn!("--set {remark}"),
                 Remark::KnownMapIssue { .. } => tracing::warn!("{remark}"),
                 Remark::Chosen(_) | Remark::KnownMapLoaded { .. } if quiet => {}
-                _ => say(&remark.to_string()),
+                _ => print_line(&remark.to_string()),
             }
         }
         if interrupt::interrupted() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }

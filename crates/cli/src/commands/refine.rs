@@ -68,8 +68,9 @@ pub struct RefineArgs {
     /// Folder for the results; created if missing.
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Write the input as the result if the refinement made the cloud less sharp and was rejected (exit code
-    /// 4), and overwrite files in the folder that were not written by an earlier `refine`.
+    /// Write the input as the result if the refinement was rejected (exit code 4), because the cloud became
+    /// less sharp, held-out surfaces agree less, or poses are not finite; and overwrite files in the folder
+    /// that were not written by an earlier `refine`.
     #[arg(long)]
     force: bool,
     #[command(flatten)]

@@ -20,7 +20,7 @@ use super::map::remarks;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{counted, make_folder, print, print_json, print_summary};
-use crate::progress::{Progress, say};
+use crate::progress::{Progress, print_line};
 use input::{InputArgs, read_links, read_scans};
 use options::{GlobalMatchingArgs, IcpArgs, LinksName, LoopArgs, SurfacesOf};
 use summary::{ADVICE, text};
@@ -144,7 +144,7 @@ fn output_folder(
 
 /// Whether the result is reliable: all of it, part of the scans, or none. Reasons against it are reported.
 fn trusted(work: &Registration, registered: &[Registered], quiet: bool) -> Outcome {
-    let untrusted: Vec<&Registered> = registered.iter().filter(|scan| scan.doubt.is_some()).collect();
+    let untrusted: Vec<&Registered> = registered.iter().filter(|scan| scan.distrust.is_some()).collect();
     let outcome = match &work.global {
         // After global matching a scan no longer depends on its match with the scan before.
         Some(global) if global.converged => Outcome::Done,
@@ -155,12 +155,16 @@ fn trusted(work: &Registration, registered: &[Registered], quiet: bool) -> Outco
     };
     if outcome != Outcome::Done && !quiet {
         for scan in untrusted {
-            say(&format!("{}: NOT registered: {}", scan.file, scan.doubt.as_deref().unwrap_or_default()));
+            print_line(&format!(
+                "{}: NOT registered: {}",
+                scan.file,
+                scan.distrust.as_deref().unwrap_or_default()
+            ));
         }
         if work.global.is_some() {
-            say("the global matching of all scans did not converge");
+            print_line("the global matching of all scans did not converge");
         }
-        say(ADVICE);
+        print_line(ADVICE);
     }
     outcome
 }
@@ -191,7 +195,7 @@ fn unmatched(scans: &Scans, report: &SequenceReport, quiet: bool) -> Result<bool
             return Err(if is_apart { CliError::Untrusted(message) } else { CliError::Failed(message) });
         }
         if !quiet {
-            say(&format!("{}: {error}; it was moved with the scan before it", scans.names[index]));
+            print_line(&format!("{}: {error}; it was moved with the scan before it", scans.names[index]));
         }
     }
     match lost + 1 == report.matched.len() {
@@ -227,7 +231,7 @@ fn match_globally(
     let alone = unlinked_scans(clouds.len(), &links);
     if !alone.is_empty() && !quiet {
         let names: Vec<&str> = alone.iter().map(|i| scans.names[*i].as_str()).take(5).collect();
-        say(&format!(
+        print_line(&format!(
             "{} not linked with the first scan in the global matching, which matches them only to each other: {}{}",
             counted(alone.len() as u64, "scan is", "scans are"),
             names.join(", "),

@@ -19,7 +19,7 @@ use super::argument;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{counted, print_json, print_summary};
-use crate::progress::say;
+use crate::progress::print_line;
 
 /// Draw a map (.pbstream): a picture, or an image with description for ROS.
 ///
@@ -107,7 +107,7 @@ pub fn run(args: &RenderArgs, global: &GlobalArgs) -> Result<Outcome, CliError> 
     };
     for (submap, reason) in loaded.skipped {
         if !global.quiet {
-            say(&format!("submap {},{} is not drawn: {reason}", submap.0, submap.1));
+            print_line(&format!("submap {},{} is not drawn: {reason}", submap.0, submap.1));
         }
         report.skipped.push(Skipped { submap, reason: reason.to_string() });
     }

@@ -12,7 +12,7 @@ use portolan_simulator::{Simulation, Simulation3d, SimulatorError};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{print_summary, write_file};
-use crate::progress::{Progress, say};
+use crate::progress::{Progress, print_line};
 use scenario::{AnyScenario, ScenarioArgs};
 use simulated::Simulated;
 
@@ -89,7 +89,7 @@ fn write_all(
         write_file(path, |out| write(out))?;
     }
     if !global.quiet {
-        say(&simulation.format());
+        print_line(&simulation.format());
     }
     let (seconds, metres) = simulation.extent();
     let mut text = format!("{}: {count} messages, {seconds:.1} s, {metres:.1} m", args.output.display());

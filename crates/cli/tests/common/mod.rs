@@ -59,8 +59,8 @@ pub fn trajectory_errors(estimate: &str, truth: &str) -> serde_json::Value {
     serde_json::from_str(&run.stdout).unwrap()
 }
 
-/// Maps a recording cut off after these shares of its bytes, and with `flips` bits flipped in several ways. Every
-/// run must end in a map or a named error, and never in half a file.
+/// Maps a recording cut off after these shares of its bytes, and with `flips` bits flipped at several sets of
+/// positions. Every run must end in a map or a named error, and never in half a file.
 pub fn survives_damage(recording: &str, folder: &Path, shares: &[f64], seeds: usize, flips: usize) {
     let whole = std::fs::read(recording).unwrap();
     let extension = Path::new(recording).extension().unwrap();

@@ -38,7 +38,7 @@ pub(super) fn odometry_that_stands(scan: &RecordedMessage) -> Vec<RecordedMessag
     odometry_of(scan, &|_| Some(Rigid3::identity()))
 }
 
-/// Error and report of a drive whose odometry tells this in place of the truth.
+/// Error and report of a drive whose odometry measures this in place of the truth.
 fn with_odometry(reported: impl Fn(Rigid3) -> Rigid3) -> Option<(f64, String)> {
     let recording = real("lidar3d/kitti_0001.bag")?;
     let truth = read(&real("lidar3d/kitti_0001.truth.tum")?);

@@ -33,7 +33,7 @@ fn files(folder: &Path) -> Files {
         .collect()
 }
 
-/// Whether a file is what a run leaves that nobody ends. Reports tell how long it took.
+/// Whether a file equals that of an uninterrupted run. Reports contain the time it took.
 fn is_whole(name: &str, bytes: &[u8], expected: &Files) -> bool {
     match name.rsplit('.').next() {
         Some("json") => serde_json::from_slice::<serde_json::Value>(bytes).is_ok(),
@@ -93,7 +93,7 @@ impl Victim {
                 portolan_with_code(0, &["info", &text(&folder.path().join(&name))]);
             }
         }
-        // What it left does not stand in the way of the next.
+        // Its leftovers do not block the next run.
         self.spawn(folder.path(), settings).wait().unwrap();
         let again = files(folder.path());
         let missing = self.expected.keys().find(|name| !again.contains_key(*name));

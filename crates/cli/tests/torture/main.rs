@@ -47,7 +47,7 @@ fn run_case(number: u64, samples: &[Sample], settings: &Settings) -> Verdict {
 }
 
 #[test]
-fn kills_leave_whole_files_or_none() {
+fn kills_leave_complete_files_or_none() {
     let wrong = kills::kill_runs(&Settings::from_environment());
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
@@ -61,7 +61,7 @@ fn maps_that_were_cut_off_and_resumed_are_the_same() {
 }
 
 #[test]
-fn damaged_files_end_in_the_truth() {
+fn damaged_files_give_correct_results_or_errors() {
     let settings = Settings::from_environment();
     let folder = tempfile::tempdir().unwrap();
     let samples = samples::make(folder.path());

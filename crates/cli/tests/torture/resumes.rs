@@ -19,7 +19,7 @@ const RUNS: [(&[&str], &[&str]); 3] = [
 ];
 const RESULTS: [&str; 2] = ["map.pbstream", "trajectory.tum"];
 
-/// A run, and what it gives when nobody ends it.
+/// A run, and its uninterrupted result.
 struct Run {
     recording: PathBuf,
     words: &'static [&'static str],

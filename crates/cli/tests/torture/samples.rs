@@ -6,7 +6,7 @@ use portolan_testing::damage::Layout;
 
 use crate::common::{portolan, portolan_with_code, real, text};
 
-/// What a file is, which tells the verbs that take it.
+/// Type of a file, which determines the verbs that read it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     Recording,

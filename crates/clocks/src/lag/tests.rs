@@ -71,7 +71,7 @@ fn offsets_are_found_in_spite_of_bias_mounting_and_wrong_matches() {
 }
 
 #[test]
-fn misalignments_are_found_beside_offsets() {
+fn misalignments_are_found_together_with_offsets() {
     let sweeps = sweeps(5e-4);
     for degrees in [0.0, 5.0, -12.0] {
         let mounted = quaternion_from_angle_axis(&Vector3::new(0.0, f64::to_radians(degrees), 0.0));
@@ -86,7 +86,7 @@ fn misalignments_are_found_beside_offsets() {
 }
 
 #[test]
-fn poor_turns_are_unsure_and_others_than_those_of_the_gyroscope_tell_nothing() {
+fn noisy_rotations_are_uncertain_and_unrelated_ones_give_no_lag() {
     let [good, poor] = [5e-4, 0.004].map(|noise| find_lag(&sweeps(noise), &gyroscope(0.0)).unwrap());
     assert!(poor.sigma > 5.0 * good.sigma && poor.seconds.abs() < 4.0 * poor.sigma, "{poor:?} {good:?}");
     let mut other = Gyroscope::default();
@@ -101,7 +101,7 @@ fn poor_turns_are_unsure_and_others_than_those_of_the_gyroscope_tell_nothing() {
 }
 
 #[test]
-fn other_axes_signs_and_units_are_told_from_those_that_were_said() {
+fn wrong_axes_signs_and_units_are_detected() {
     let turns = turns(&sweeps(5e-4));
     let found = |late: f64, measured: &dyn Fn(Vector3) -> Vector3| {
         find_mounting(&turns, &gyroscope_that(late, measured))

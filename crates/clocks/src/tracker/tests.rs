@@ -30,7 +30,7 @@ fn sweep(end: f64) -> Sweep {
 }
 
 #[test]
-fn turns_of_sweeps_are_true_though_the_clock_of_the_gyroscope_is_not() {
+fn rotations_of_sweeps_are_correct_despite_a_wrong_clock_of_the_gyroscope() {
     let mut gyroscope = Gyroscope::default();
     for i in 0..2000 {
         let (t, step) = (0.005 * f64::from(i), 1e-4);

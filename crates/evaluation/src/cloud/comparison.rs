@@ -28,7 +28,8 @@ pub type PlaceValue = ([i32; 3], f64);
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PairedComparison {
     /// Name of the compared quantity.
-    pub what: String,
+    #[serde(rename = "what")]
+    pub quantity: String,
     /// Number of places in both clouds.
     pub places: usize,
     /// Mean over the places before.
@@ -61,7 +62,11 @@ pub fn place_of(point: [f64; 3], edge: f64) -> [i32; 3] {
 }
 
 /// Compares values by place; `None` if too few places have enough values in both clouds.
-pub fn compare_places(what: &str, before: &[PlaceValue], after: &[PlaceValue]) -> Option<PairedComparison> {
+pub fn compare_places(
+    quantity: &str,
+    before: &[PlaceValue],
+    after: &[PlaceValue],
+) -> Option<PairedComparison> {
     let (before, after) = (means(before), means(after));
     let pairs: Vec<(f64, f64)> =
         before.iter().filter_map(|(place, b)| Some((*b, *after.get(place)?))).collect();
@@ -81,7 +86,7 @@ pub fn compare_places(what: &str, before: &[PlaceValue], after: &[PlaceValue]) -
     };
     let extreme = (0..DRAWS).filter(|_| flipped(&mut random).abs() >= change.abs() * (1.0 - 1e-12)).count();
     Some(PairedComparison {
-        what: what.to_owned(),
+        quantity: quantity.to_owned(),
         places: count,
         before: pairs.iter().map(|p| p.0).sum::<f64>() / count as f64,
         after: pairs.iter().map(|p| p.1).sum::<f64>() / count as f64,
@@ -113,7 +118,7 @@ impl fmt::Display for PairedComparison {
         write!(
             f,
             "{}: {:.4} -> {:.4}, change {:+.4} (95 % between {:+.4} and {:+.4}), less at {:.0} % of {} places, p = {:.4}: {verdict}",
-            self.what,
+            self.quantity,
             self.before,
             self.after,
             self.change,
@@ -149,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn chance_is_not_called_a_change() {
+    fn random_differences_are_not_reported_as_changes() {
         let real = (0..40)
             .filter(|i| {
                 compare_places("x", &values(0.0, 1.0, 2 * i + 10), &values(0.0, 1.0, 2 * i + 11))

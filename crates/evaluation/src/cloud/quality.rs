@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn odd_clouds_are_no_trouble() {
+    fn unusual_clouds_are_handled() {
         let judge = |points: &[[f64; 3]]| {
             cloud_quality(&CloudToJudge { points, seconds: &[], places: &[] }, &QualityOptions::default())
         };

@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn records_may_be_laid_out_anyhow() {
+    fn records_of_any_layout_are_read() {
         let text = "# made by hand\n90.239599 90.719599 0.42233 -0.00075 0 0 0 0.01726 # first\n\n1 2 3\n4 5 0 0\t-0.5\n";
         let relations = read(text).unwrap();
         assert_eq!(relations.len(), 2);

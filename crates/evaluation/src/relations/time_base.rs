@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn carmen_times_are_recognised_both_ways() {
+    fn carmen_times_are_recognised_in_both_directions() {
         let (shifted, notice) = in_time_base(&trajectory(1_000_000_090.0), &relations(90.0)).unwrap();
         assert_eq!(shifted[0].time1, Time::from_unix_seconds(1_000_000_090.0));
         let notice = notice.unwrap().to_string();
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn a_common_clock_is_left_alone() {
+    fn a_common_clock_is_not_changed() {
         let given = relations(150.0);
         assert_eq!(in_time_base(&trajectory(90.0), &given).unwrap(), (given, None));
         assert_eq!(in_time_base(&trajectory(90.0), &[]).unwrap(), (vec![], None));

@@ -15,7 +15,7 @@ const SHORT: f64 = 25.0;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Floor {
     /// First and last time of each stay, ascending.
-    pub stays: Vec<(Time, Time)>,
+    pub intervals: Vec<(Time, Time)>,
     /// Height of the tracking frame, metres.
     pub z: f64,
 }
@@ -23,7 +23,7 @@ pub struct Floor {
 impl Floor {
     /// Whether a time is in one of the stays.
     pub fn contains(&self, time: Time) -> bool {
-        self.stays.iter().any(|(start, end)| (*start..=*end).contains(&time))
+        self.intervals.iter().any(|(start, end)| (*start..=*end).contains(&time))
     }
 }
 
@@ -80,8 +80,8 @@ fn floor(trajectory: &[(Time, Rigid3)], spans: &[Span], mut members: Vec<usize>)
     let long = members.iter().filter(|i| spans[**i].is_long);
     let heights = long.flat_map(|i| trajectory[spans[*i].first..spans[*i].end].iter().map(height));
     let z = median(heights.collect());
-    let stays = members.iter().map(|i| (trajectory[spans[*i].first].0, trajectory[spans[*i].end - 1].0));
-    Floor { z, stays: stays.collect() }
+    let intervals = members.iter().map(|i| (trajectory[spans[*i].first].0, trajectory[spans[*i].end - 1].0));
+    Floor { z, intervals: intervals.collect() }
 }
 
 fn height((_, pose): &(Time, Rigid3)) -> f64 {
@@ -151,10 +151,10 @@ mod tests {
         let second = |s: i64| Time::from_ticks(10_000_000 * s);
         assert_eq!(floors.len(), 2);
         assert_eq!(
-            floors[0].stays,
+            floors[0].intervals,
             [(second(0), second(39)), (second(40), second(49)), (second(100), second(129))]
         );
-        assert_eq!(floors[1].stays, [(second(40), second(49)), (second(50), second(99))]);
+        assert_eq!(floors[1].intervals, [(second(40), second(49)), (second(50), second(99))]);
         assert!(floors[0].z < 0.3 && (floors[1].z - 6.0).abs() < 1e-9);
         assert!(floors[1].contains(second(45)) && !floors[1].contains(second(10)));
     }

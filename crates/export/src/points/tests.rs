@@ -179,7 +179,7 @@ fn impossible_requests_are_errors_with_a_reason() {
 }
 
 #[test]
-fn absurd_points_do_no_harm() {
+fn absurd_points_are_handled() {
     let folder = tempfile::tempdir().unwrap();
     let text = r#"
         { action = "voxel_filter_and_remove_moving_objects", voxel_size = 0.1 },

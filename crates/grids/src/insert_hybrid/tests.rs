@@ -21,7 +21,7 @@ fn small_scan() -> (RangeData, HybridInserter) {
 }
 
 #[test]
-fn hits_and_misses_land_where_they_should() {
+fn hits_and_misses_are_in_their_cells() {
     let (data, inserter) = small_scan();
     let mut grid = HybridGrid::new(1.0).unwrap();
     let mut intensities = IntensityGrid::new(1.0).unwrap();
@@ -78,7 +78,7 @@ fn far_returns_are_left_out() {
 }
 
 #[test]
-fn absurd_points_do_no_harm() {
+fn absurd_points_are_handled() {
     let (mut data, inserter) = small_scan();
     let mut grid = HybridGrid::new(1.0).unwrap();
     data.returns.points.push(Point3f::new(f32::NAN, 0.0, 0.0));
@@ -138,7 +138,7 @@ fn grids_take_no_more_memory_than_their_files() {
 }
 
 #[test]
-fn cells_before_a_hit_are_whole_parts_of_the_way() {
+fn cells_before_a_hit_are_at_equal_steps_of_the_ray() {
     let mut lcg = Lcg::new(5);
     let options = HybridInserterOptions { num_free_space_voxels: 7, ..HybridInserterOptions::default() };
     let inserter = HybridInserter::new(&options).unwrap();

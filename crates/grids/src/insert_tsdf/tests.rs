@@ -119,7 +119,7 @@ fn drawn_rooms_equal_the_golden_fields() {
 }
 
 #[test]
-fn absurd_points_do_no_harm() {
+fn absurd_points_are_handled() {
     let inserter = TsdfInserter::new(&TsdfInserterOptions::default()).unwrap();
     let mut tsdf = Tsdf2d::new(room_limits(), 0.3, 10.0).unwrap();
     let mut data = room1();

@@ -23,7 +23,7 @@ fn nested(c: &VoxelIndex) -> [i32; 9] {
 }
 
 #[test]
-fn values_stay_where_they_were_put() {
+fn values_are_kept_at_their_indices() {
     for (seed, reach) in [(1, 3000.0), (2, 20.0), (3, 8000.0)] {
         let cells = random_cells(seed, 10_000, reach);
         for map in [filled(&cells), filled(&cells).compacted()] {

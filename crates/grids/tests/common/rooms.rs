@@ -38,7 +38,7 @@ pub fn room(seed: u32) -> (ProbabilityGrid, PointCloud) {
     (grid, PointCloud::new(points))
 }
 
-/// Rooms side by side, each turned, and where they lie.
+/// Rooms side by side, each turned, and their poses.
 pub fn rooms(seeds: &[u32]) -> Vec<(Grid2d, Rigid2, PointCloud)> {
     let columns = (seeds.len() as f64).sqrt().ceil() as usize;
     let place =

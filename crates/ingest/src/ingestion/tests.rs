@@ -95,7 +95,7 @@ fn odometry_is_that_of_the_tracking_frame() {
 }
 
 #[test]
-fn transforms_may_come_late_and_the_end_is_not_lost() {
+fn late_transforms_are_used_and_the_last_messages_are_kept() {
     let mut messages = Vec::new();
     for i in 0..40 {
         let t = 0.1 * f64::from(i);

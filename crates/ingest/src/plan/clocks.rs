@@ -31,7 +31,7 @@ pub(super) fn join(plan: &mut SensorPlan) {
             source.usual_lag = Some(reference);
             notices.push(Notice {
                 severity: Severity::Info,
-                what: format!(
+                text: format!(
                     "the clock of {} is {difference:.3} s behind the others; its stamps are shifted by this",
                     source.topic
                 ),
@@ -60,8 +60,8 @@ pub(super) fn shift(offsets: &[(String, Duration)], plan: &mut SensorPlan) -> Re
         };
         source.clock_shift = source.clock_shift + *offset;
         source.usual_lag = source.usual_lag.map(|lag| lag - *offset);
-        let what = format!("stamps of {} are shifted by {} s", source.topic, offset.seconds());
-        plan.note(what, "--time-offset");
+        let text = format!("stamps of {} are shifted by {} s", source.topic, offset.seconds());
+        plan.note(text, "--time-offset");
     }
     Ok(())
 }

@@ -32,7 +32,8 @@ pub use robot::upright_frame;
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Notice {
     /// The choice and its reason.
-    pub what: String,
+    #[serde(rename = "what")]
+    pub text: String,
     /// How to change it; empty if there is no alternative.
     pub change: String,
     /// A warning where recorded data cannot be used, or the robot's frame is not known.
@@ -110,12 +111,12 @@ impl PlannedSensor {
         self.clock_shift = self.clock_shift + delay;
         self.usual_lag = self.usual_lag.map(|lag| lag - delay);
         let direction = if seconds < 0.0 { "earlier" } else { "later" };
-        let what = format!(
+        let text = format!(
             "stamps of {} are shifted by {seconds:.3} s (sigma {sigma:.3} s): those of scans are {direction} by this, as \
              the rotation of both shows",
             self.topic
         );
-        (what, format!("--time-offset {}=0", self.topic))
+        (text, format!("--time-offset {}=0", self.topic))
     }
 }
 
@@ -131,7 +132,7 @@ pub struct PlannedRange {
     pub azimuth_times: AzimuthTimes,
     /// Whether the motion in the points contradicts their times, without showing clearly which times are
     /// right, and the user did not choose.
-    pub times_in_doubt: bool,
+    pub times_are_uncertain: bool,
     /// Seconds from the first beam of a scan to the last, negative if the last comes first; none: as in the
     /// message (laser scans only).
     pub scan_duration: Option<f64>,
@@ -271,15 +272,15 @@ impl SensorPlan {
     /// Shifts the stamps of odometry by their measured delay against scans, and adds a notice.
     pub fn delay_odometry(&mut self, seconds: f64, sigma: f64) {
         let Some(odometry) = &mut self.odometry else { return };
-        let (what, change) = odometry.source.delay(seconds, sigma);
-        self.note(what, change);
+        let (text, change) = odometry.source.delay(seconds, sigma);
+        self.note(text, change);
     }
 
     /// Shifts the stamps of the IMU by their measured delay against clouds, and adds a notice.
     pub fn delay_imu(&mut self, seconds: f64, sigma: f64) {
         let Some(imu) = &mut self.imu else { return };
-        let (what, change) = imu.source.delay(seconds, sigma);
-        self.note(what, change);
+        let (text, change) = imu.source.delay(seconds, sigma);
+        self.note(text, change);
     }
 
     /// Marks the stamps of these topics as jittering, as scans showed, and adds a notice.
@@ -289,13 +290,13 @@ impl SensorPlan {
         for source in sources.filter(|source| topics.contains(&source.topic)) {
             source.jitter = Some(*jitter);
         }
-        let what = format!(
+        let text = format!(
             "stamps of {} jitter by {:.3} s: scans move more evenly at times from the order of arrival and the usual \
              rate",
             topics.join(" and "),
             jitter.noise.of_stamps
         );
-        self.note(what, "--stamps as-is");
+        self.note(text, "--stamps as-is");
     }
 
     /// Warns that odometry repeats poses (`how`) while it moves. Leaves out repeats of up to `longest_hold`
@@ -317,12 +318,12 @@ impl SensorPlan {
         let Some(range) = self.range.iter_mut().find(|range| &*range.source.topic == topic) else { return };
         range.scan_duration = Some(seconds);
         let order = if seconds < 0.0 { ", the last beam first" } else { "" };
-        let what = format!(
+        let text = format!(
             "scans of {topic} are taken to last {:.3} s (sigma {sigma:.3} s){order}: their distortion where the robot \
              turns shows this",
             seconds.abs()
         );
-        self.note(what, "--point-times recorded");
+        self.note(text, "--point-times recorded");
     }
 
     /// Smooths the readings of a scanner with this measured standard deviation, metres, and adds a notice.
@@ -333,8 +334,8 @@ impl SensorPlan {
             return;
         }
         range.range_noise = Some(sigma);
-        let what = format!("readings of {topic} have noise of {sigma:.3} m: they are smoothed along walls");
-        self.note(what, "--range-noise 0");
+        let text = format!("readings of {topic} have noise of {sigma:.3} m: they are smoothed along walls");
+        self.note(text, "--range-noise 0");
     }
 
     /// Rotates the measurements of the IMU in the tracking frame, since its mounting (`is_mounted`) differs
@@ -343,8 +344,8 @@ impl SensorPlan {
         let Some(imu) = &mut self.imu else { return };
         imu.correction = correction;
         let topic = imu.source.topic.clone();
-        let what = format!("the IMU {topic} {is_mounted}: its measurements are rotated by this");
-        self.warn(what, format!("--imu {topic}"));
+        let text = format!("the IMU {topic} {is_mounted}: its measurements are rotated by this");
+        self.warn(text, format!("--imu {topic}"));
     }
 
     /// Converts angular velocities of the IMU from degrees per second, and adds a notice.
@@ -356,8 +357,8 @@ impl SensorPlan {
     }
 
     fn note_degrees(&mut self, topic: &str) {
-        let what = "measures angular velocities in degrees per second; they are multiplied by π/180";
-        self.note(format!("{topic} {what}"), "");
+        let text = "measures angular velocities in degrees per second; they are multiplied by π/180";
+        self.note(format!("{topic} {text}"), "");
     }
 
     /// Warns that an IMU does not rotate as the lidar does (`how`), and whether it is used nevertheless.
@@ -390,17 +391,17 @@ impl SensorPlan {
         }
     }
 
-    fn note(&mut self, what: impl Into<String>, change: impl Into<String>) {
-        self.push_notice(Severity::Info, what.into(), change.into());
+    fn note(&mut self, text: impl Into<String>, change: impl Into<String>) {
+        self.push_notice(Severity::Info, text.into(), change.into());
     }
 
     /// As [`SensorPlan::note`], where transforms are missing.
-    fn warn(&mut self, what: impl Into<String>, change: impl Into<String>) {
-        self.push_notice(Severity::Warning, what.into(), change.into());
+    fn warn(&mut self, text: impl Into<String>, change: impl Into<String>) {
+        self.push_notice(Severity::Warning, text.into(), change.into());
     }
 
-    fn push_notice(&mut self, severity: Severity, what: String, change: String) {
-        self.notices.push(Notice { what, change, severity });
+    fn push_notice(&mut self, severity: Severity, text: String, change: String) {
+        self.notices.push(Notice { text, change, severity });
     }
 }
 

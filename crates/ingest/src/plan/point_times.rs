@@ -62,7 +62,7 @@ fn recorded_or_none(
 ) -> PointTimes {
     let Some(skew) = statistics.skew else { return PointTimes::recorded(times) };
     let topic = chosen.topic();
-    if let Some(turn) = statistics.turn_told {
+    if let Some(turn) = statistics.azimuth_turn {
         return by_azimuth_instead(chosen, statistics, turn, plan);
     }
     if let (Some(scale), Some(times)) = (statistics.time_scale, times)
@@ -108,7 +108,7 @@ fn recorded_or_none(
 /// Warns that recorded times are wrong, and reports which times are used.
 fn warn_of_times(chosen: &Chosen, statistics: &RangeStatistics, how: &str, plan: &mut SensorPlan) {
     let caveat =
-        if statistics.times_in_doubt { "the best fit, though not a clear one, is that " } else { "" };
+        if statistics.times_are_uncertain { "the best fit, though not a clear one, is that " } else { "" };
     let factors = statistics.skew.map_or_else(String::new, described);
     plan.warn(
         format!(

@@ -304,7 +304,7 @@ fn planned(chosen: &Chosen, frame: &str, options: &IngestOptions, plan: &mut Sen
     let times = times_of_points(chosen, is_cloud(chosen), options.azimuth_times, plan);
     let statistics = chosen.survey.range.clone().unwrap_or_default();
     PlannedRange {
-        times_in_doubt: options.azimuth_times == AzimuthTimes::Auto && statistics.times_in_doubt,
+        times_are_uncertain: options.azimuth_times == AzimuthTimes::Auto && statistics.times_are_uncertain,
         source: chosen.planned(SensorKind::Range, frame),
         point_time: times.recorded,
         scan_duration: (options.azimuth_times == AzimuthTimes::Off && !is_cloud(chosen)).then_some(0.0),

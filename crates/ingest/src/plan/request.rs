@@ -169,8 +169,8 @@ impl<'a> Finder<'a, '_> {
         }
         match self.of_kind(kind).as_slice() {
             [] => {
-                let what = format!("{} was asked for, but the recording has no such topic", kind.name);
-                self.notices.push(Notice { what, change: String::new(), severity: Severity::Info });
+                let text = format!("{} was asked for, but the recording has no such topic", kind.name);
+                self.notices.push(Notice { text, change: String::new(), severity: Severity::Info });
                 Ok(None)
             }
             [only] => Ok(Some(Chosen::named_after_topic(only))),
@@ -232,7 +232,7 @@ impl<'a> Finder<'a, '_> {
             let topic = &survey.info.topic;
             self.notices.push(Notice {
                 severity: Severity::Info,
-                what: format!(
+                text: format!(
                     "the configuration expects \"{name}\", which is not recorded; {topic} is used for it"
                 ),
                 change: format!("--remap {name}:=<topic>"),

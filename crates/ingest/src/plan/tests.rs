@@ -57,7 +57,7 @@ fn two_connected_scanners_and_odometry_are_used_together() {
     );
     assert_eq!(plan.dimension, Dimension::TwoD);
     assert!(matches!(&plan.odometry, Some(o) if o.name() == "/odom"));
-    let text: String = plan.notices.iter().map(|n| format!("{} [{}]\n", n.what, n.change)).collect();
+    let text: String = plan.notices.iter().map(|n| format!("{} [{}]\n", n.text, n.change)).collect();
     for expected in [
         "/front_filtered is not used",
         "/vertical is not used: its plane leans 90°",
@@ -151,7 +151,7 @@ fn one_of_two_robots_in_a_recording_is_mapped() {
         (sensors.concat(), odometry, tracking),
         ("/r2/scan".into(), "/r2/odom".into(), "r2/base_link".into())
     );
-    let text: String = notices.iter().map(|n| format!("{} [{}]\n", n.what, n.change)).collect();
+    let text: String = notices.iter().map(|n| format!("{} [{}]\n", n.text, n.change)).collect();
     assert!(text.contains("only by \"r1/odom\": it is on another robot [--scan /r1/scan]"), "{text}");
 }
 
@@ -194,7 +194,7 @@ fn a_gyroscope_in_degrees() {
     let plan = planned(&recording, &IngestOptions::default()).unwrap();
     let scale = plan.imu.as_ref().unwrap().scale;
     assert_eq!(scale, ImuScale { acceleration: 1.0, angular_velocity: PI / 180.0 });
-    assert!(plan.notices.iter().any(|n| n.what.contains("in degrees per second")));
+    assert!(plan.notices.iter().any(|n| n.text.contains("in degrees per second")));
 }
 
 #[test]
@@ -210,7 +210,7 @@ fn names_of_a_configuration_are_found_or_remapped() {
     let plan = planned(&recording, &options).unwrap();
     assert_eq!(topics(&plan), ["/base_scan"]);
     assert_eq!(&*plan.range[0].source.sensor.id, "scan");
-    assert!(plan.notices.iter().any(|n| n.what.contains("expects \"scan\"")));
+    assert!(plan.notices.iter().any(|n| n.text.contains("expects \"scan\"")));
     assert!(plan.odometry.is_some());
     options.remappings = vec![("scan".into(), "base_scan".into()), ("odom".into(), "/robot/odom".into())];
     let plan = planned(&recording, &options).unwrap();
@@ -260,7 +260,7 @@ fn the_raw_cloud_is_mapped_and_not_processed_ones() {
         recording(&[("/cloud_registered", &|t| cloud(t, "robot/camera_init")), ("/points", &timeless)]);
     let plan = planned(&registered, &IngestOptions::default()).unwrap();
     assert_eq!((topics(&plan), plan.tracking_frame.as_str()), (vec!["/points"], "lidar"));
-    assert!(plan.notices.iter().any(|n| n.what.contains("is that of a map")), "{:?}", plan.notices);
+    assert!(plan.notices.iter().any(|n| n.text.contains("is that of a map")), "{:?}", plan.notices);
 }
 
 #[test]
@@ -271,10 +271,10 @@ fn a_lone_scanner_and_an_empty_recording() {
     assert!(
         plan.notices
             .iter()
-            .any(|n| n.what.contains("odometry /odom is not used") && n.change.contains("--urdf"))
+            .any(|n| n.text.contains("odometry /odom is not used") && n.change.contains("--urdf"))
     );
-    let nothing = recording(&[("/odom", &|t| odometry(t, t))]);
-    let error = planned(&nothing, &IngestOptions::default()).unwrap_err().to_string();
+    let empty = recording(&[("/odom", &|t| odometry(t, t))]);
+    let error = planned(&empty, &IngestOptions::default()).unwrap_err().to_string();
     assert!(error.contains("/odom (nav_msgs/Odometry)"), "{error}");
     let unnamed = recording(&[("/scan", &|t| scan(t, ""))]);
     assert_eq!(planned(&unnamed, &IngestOptions::default()).unwrap().tracking_frame, "base_link");
@@ -322,7 +322,7 @@ fn in_2d_an_imu_whose_axes_are_swapped_is_left_out() {
     ]);
     let plan = planned(&swapped, &IngestOptions::default()).unwrap();
     assert!(plan.imu.is_none() && plan.dimension == Dimension::TwoD);
-    let notice = plan.notices.iter().find(|n| n.what.contains("leaning 89°")).unwrap();
+    let notice = plan.notices.iter().find(|n| n.text.contains("leaning 89°")).unwrap();
     assert_eq!(notice.change, "--imu /imu");
     let asked_for = IngestOptions { imu_topic: Some("/imu".into()), ..IngestOptions::default() };
     assert!(planned(&swapped, &asked_for).unwrap().imu.is_some());
@@ -358,7 +358,7 @@ fn in_3d_an_imu_tilted_against_the_robot_is_left_out_and_a_handheld_one_may_be_t
     };
     let swapped = with([0.3, 9.8, 0.1], "base_link");
     assert!(swapped.imu.is_none() && swapped.dimension == Dimension::ThreeD);
-    assert!(swapped.notices.iter().any(|n| n.what.contains("leaning 89°")));
+    assert!(swapped.notices.iter().any(|n| n.text.contains("leaning 89°")));
     assert!(with([0.3, 0.1, -9.8], "base_link").imu.is_none());
     assert!(with([0.3, 0.1, -9.8], "robot_2/base_link").imu.is_none());
     assert!(with([4.0, 0.1, 9.0], "base_link").imu.is_some());
@@ -382,7 +382,7 @@ fn clouds_without_times_get_them_from_the_azimuth_unless_disabled() {
         let options = IngestOptions { azimuth_times: asked, ..IngestOptions::default() };
         let plan = planned(&recording, &options).unwrap();
         assert_eq!(plan.range[0].azimuth_times, expected, "{lag} {asked:?}");
-        let is_noted = plan.notices.iter().any(|n| n.what.contains("from their azimuth"));
+        let is_noted = plan.notices.iter().any(|n| n.text.contains("from their azimuth"));
         assert_eq!(is_noted, asked == Auto, "{:?}", plan.notices);
     }
     let with_times = recording(&[("/points", &|t| cloud(t, "lidar"))]);
@@ -395,6 +395,6 @@ fn clouds_without_times_get_them_from_the_azimuth_unless_disabled() {
     for asked in [Off, FromStamp, UntilStamp] {
         let plan = plan_of(asked);
         assert_eq!((plan.range[0].azimuth_times, plan.range[0].point_time), (asked, None));
-        assert!(plan.notices.iter().any(|n| n.what.contains("as asked for")), "{:?}", plan.notices);
+        assert!(plan.notices.iter().any(|n| n.text.contains("as asked for")), "{:?}", plan.notices);
     }
 }

@@ -280,7 +280,7 @@ mod tests {
         let right: fn(f64) -> f64 = |s| -(s - 1.0).abs();
         let back: fn(f64) -> f64 = |s| -(s + 1.0).abs();
         let double: fn(f64) -> f64 = |s| -(s - 2.0).abs();
-        let nothing: fn(f64) -> f64 = |_| 0.0;
+        let zero: fn(f64) -> f64 = |_| 0.0;
         // Factors are unknown: fits determine the times, or only that they are wrong, or nothing.
         assert_eq!(found(unknown, unknown, 1.0, back, 0.2), Some((-1.0, true)));
         assert_eq!(found(unknown, unknown, 1.0, back, 0.7), Some((-1.0, false)));
@@ -292,8 +292,8 @@ mod tests {
         // Sweeps of half of the interval between clouds: their factors alone are not conclusive, and the fits
         // do not decide.
         let factors = ((1.58, 0.21), (1.64, 0.25));
-        assert_eq!(found(factors.0, factors.1, 0.5, nothing, 1.0), Some((2.0, true)));
-        assert_eq!(found(factors.0, factors.1, 1.0, nothing, 1.0), None);
+        assert_eq!(found(factors.0, factors.1, 0.5, zero, 1.0), Some((2.0, true)));
+        assert_eq!(found(factors.0, factors.1, 1.0, zero, 1.0), None);
         assert_eq!(found(factors.0, factors.1, 1.0, double, 0.3), Some((2.0, true)));
         assert_eq!(found(factors.0, factors.1, 0.5, right, 0.2), None);
     }

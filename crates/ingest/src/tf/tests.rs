@@ -61,7 +61,7 @@ fn old_poses_are_forgotten() {
 }
 
 #[test]
-fn a_frame_that_never_moved_is_where_it_is_at_any_time() {
+fn a_static_frame_has_one_pose_at_all_times() {
     let mut tree = TfTree::new();
     for t in [5, 6] {
         tree.insert_moving("base_link", "laser", at(t), pose(0.5, 0.0, 0.1)).unwrap();

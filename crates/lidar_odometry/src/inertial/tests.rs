@@ -14,7 +14,7 @@ struct Walk {
     /// Time at which the walker starts, seconds.
     starts_at: f64,
     /// Tilt of the local map.
-    lean: Quaternion,
+    tilt: Quaternion,
     accelerometer_bias: Vector3,
     gyroscope_bias: Vector3,
     /// Scale factor of accelerations.
@@ -24,7 +24,7 @@ struct Walk {
 impl Default for Walk {
     fn default() -> Self {
         let (accelerometer_bias, gyroscope_bias) = (Vector3::zeros(), Vector3::zeros());
-        Self { starts_at: 0.0, lean: Quaternion::identity(), accelerometer_bias, gyroscope_bias, scale: 1.0 }
+        Self { starts_at: 0.0, tilt: Quaternion::identity(), accelerometer_bias, gyroscope_bias, scale: 1.0 }
     }
 }
 
@@ -32,8 +32,8 @@ impl Walk {
     /// The walker accelerates to 1.5 m/s within a second, and walks on with gait, turning.
     fn pose(&self, t: f64) -> Rigid3 {
         let since = (t - self.starts_at).max(0.0);
-        let way = if since < 1.0 { 0.75 * since * since } else { 0.75 + 1.5 * (since - 1.0) };
-        let place = Vector3::new(way, 0.0, 0.02 * (1.0 - (11.0 * since).cos()));
+        let travelled = if since < 1.0 { 0.75 * since * since } else { 0.75 + 1.5 * (since - 1.0) };
+        let place = Vector3::new(travelled, 0.0, 0.02 * (1.0 - (11.0 * since).cos()));
         let turn = quaternion_from_angle_axis(&Vector3::new(0.05 * (6.0 * since).sin(), 0.0, 0.2 * since));
         Rigid3::from_parts(place.into(), turn)
     }
@@ -48,7 +48,7 @@ impl Walk {
         let place = |t: f64| self.pose(t).translation.vector;
         let acceleration = (place(t + h) - 2.0 * place(t) + place(t - h)) / (h * h);
         let turn = self.pose(t).rotation;
-        let force = acceleration + self.lean * Vector3::z() * GRAVITY;
+        let force = acceleration + self.tilt * Vector3::z() * GRAVITY;
         let turned = turn.inverse() * self.pose(t + h).rotation;
         ImuData {
             time: time(t),
@@ -107,7 +107,7 @@ fn after(walk: &Walk, sweeps: Sweeps, up: &Vector3, is_at_rest: bool) -> (Inerti
         let Some(prediction) = prediction else {
             let velocity = walk.velocity(t);
             let start = InertialStart { local_from_tracking: now, velocity, force_at_rest: None };
-            inertial.begin_anew(time(t), &start);
+            inertial.restart(time(t), &start);
             continue;
         };
         let mut degenerate = DegenerateDirections::default();
@@ -120,7 +120,7 @@ fn after(walk: &Walk, sweeps: Sweeps, up: &Vector3, is_at_rest: bool) -> (Inerti
             local_from_tracking: &now,
             degenerate: &degenerate,
             attenuation: Some(na::Matrix3::zeros()),
-            tells_rotation: true,
+            measures_rotation: true,
             gyroscope_holds: true,
             is_standing: false,
         };
@@ -134,7 +134,7 @@ fn velocity_error(inertial: &InertialFilter, walk: &Walk, t: f64) -> f64 {
 }
 
 #[test]
-fn who_starts_to_walk_where_scans_tell_nothing_is_followed() {
+fn a_start_of_motion_in_degenerate_scans_is_tracked() {
     let accelerometer_bias = Vector3::new(0.02, -0.01, 0.0);
     let walk = Walk { starts_at: 1.0, accelerometer_bias, ..Walk::default() };
     // Poses are measured only until a tenth of a second after it starts to walk.
@@ -149,7 +149,7 @@ fn who_starts_to_walk_where_scans_tell_nothing_is_followed() {
 }
 
 #[test]
-fn what_sweeps_tell_is_known_better() {
+fn registered_sweeps_improve_the_velocity() {
     let accelerometer_bias = Vector3::new(0.05, 0.0, 0.05);
     let walk = Walk { starts_at: 1.0, accelerometer_bias, ..Walk::default() };
     let (inertial, end, _) = after(&walk, Sweeps::default(), &Vector3::z(), true);
@@ -184,7 +184,7 @@ fn the_bias_of_a_gyroscope_is_learned_within_seconds() {
 }
 
 #[test]
-fn a_turn_that_no_gyroscope_has_is_no_bias() {
+fn a_turn_rate_too_large_for_a_bias_is_not_learned() {
     let gyroscope_bias = Vector3::new(0.0, 0.0, 0.6);
     let walk = Walk { gyroscope_bias, ..Walk::default() };
     let (inertial, ..) = after(&walk, Sweeps::default(), &Vector3::z(), false);
@@ -192,27 +192,27 @@ fn a_turn_that_no_gyroscope_has_is_no_bias() {
 }
 
 /// Error of the vertical after this time, seconds, in radians, with initial accelerations along
-/// `believed`.
-fn lean_after(seconds: f64, believed: &Vector3, gap: (f64, f64)) -> f64 {
-    let lean = quaternion_from_angle_axis(&Vector3::new(0.1, 0.0, 0.0));
-    let walk = Walk { lean, ..Walk::default() };
+/// `assumed`.
+fn tilt_after(seconds: f64, assumed: &Vector3, gap: (f64, f64)) -> f64 {
+    let tilt = quaternion_from_angle_axis(&Vector3::new(0.1, 0.0, 0.0));
+    let walk = Walk { tilt, ..Walk::default() };
     let sweeps = Sweeps { seconds, gap, noise: 0.01, ..Sweeps::default() };
-    let (inertial, ..) = after(&walk, sweeps, &believed.normalize(), false);
+    let (inertial, ..) = after(&walk, sweeps, &assumed.normalize(), false);
     let level = inertial.level_from_tracking(&Quaternion::identity()).unwrap();
-    (level * lean * Vector3::z()).angle(&Vector3::z())
+    (level * tilt * Vector3::z()).angle(&Vector3::z())
 }
 
 #[test]
-fn a_first_belief_that_leans_is_soon_corrected() {
-    let leaning = Vector3::new(0.3, 0.0, 1.0);
-    let after = |seconds| lean_after(seconds, &leaning, (0.0, 0.0));
+fn a_tilted_initial_vertical_is_soon_corrected() {
+    let tilted = Vector3::new(0.3, 0.0, 1.0);
+    let after = |seconds| tilt_after(seconds, &tilted, (0.0, 0.0));
     let errors = [0.1, 1.5, 4.0, 30.0].map(after);
     assert!(errors[0] > 0.2 && errors[1] < 0.02 && errors[2] < 0.006 && errors[3] < 0.003, "{errors:?}");
 }
 
 #[test]
-fn gaps_only_delay_it() {
-    let error = lean_after(5.0, &Vector3::z(), (0.5, 1.5));
+fn the_vertical_is_corrected_after_a_gap() {
+    let error = tilt_after(5.0, &Vector3::z(), (0.5, 1.5));
     assert!(error < 0.006, "{error}");
 }
 
@@ -236,7 +236,7 @@ fn predicts(wrong: f64, has_samples: bool) -> bool {
 }
 
 #[test]
-fn nothing_is_predicted_over_a_gap_or_a_wrong_sample() {
+fn gaps_and_wrong_samples_prevent_predictions() {
     assert!(predicts(0.0, true));
     assert!(!predicts(0.0, false) && !predicts(1e6, true));
 }

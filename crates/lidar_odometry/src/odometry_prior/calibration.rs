@@ -15,7 +15,8 @@ use super::MeasuredPlace;
 use crate::segment::TrajectorySegment;
 use crate::settings::MotionPriorSettings;
 use crate::settings::constants::odometry_calibration::{
-    FORGOTTEN_AFTER, MEMORY_SWEEPS, NOISE_FACTORS, OUTLIER_SQUARED_SIGMAS, TOLD_SCALE_ERROR, TOLD_SIGMAS,
+    FORGOTTEN_AFTER, MEMORY_SWEEPS, NOISE_FACTORS, OUTLIER_SQUARED_SIGMAS, REPORTED_SCALE_ERROR,
+    REPORTED_SIGMAS,
 };
 
 /// Motion since the last sweep by odometry.
@@ -52,17 +53,17 @@ impl Calibration {
     }
 
     /// The segment with its translations corrected.
-    pub fn corrected(&self, told: &TrajectorySegment, motion: &OdometryMotion) -> TrajectorySegment {
-        let start = told.start().translation.vector;
+    pub fn corrected(&self, segment: &TrajectorySegment, motion: &OdometryMotion) -> TrajectorySegment {
+        let start = segment.start().translation.vector;
         let (mean, [_, left, _]) = (self.mean_of(motion), motion.axes());
         let turn = (Vector3::z() * mean.y - left * mean.z).cross_matrix();
         let matrix = Matrix3::identity() * (1.0 + mean.x) + turn;
-        told.clone().changed(|_, pose| {
+        segment.clone().changed(|_, pose| {
             pose.translation.vector = start + matrix * (pose.translation.vector - start);
         })
     }
 
-    /// The mean for a motion: a ramp that leads up leads down on the way back.
+    /// The mean for a motion: a ramp up is a ramp down in the other direction.
     fn mean_of(&self, motion: &OdometryMotion) -> Vector3 {
         let [along, ..] = motion.axes();
         match self.last_along.is_some_and(|last| last.dot(&along) < 0.0) {
@@ -74,8 +75,9 @@ impl Calibration {
     /// Ratio of the distance by odometry to that by sweeps, where it differs significantly from one.
     pub fn factor(&self) -> Option<f64> {
         let sigma = self.variances.x.sqrt();
-        let is_told = self.mean.x.abs() > TOLD_SCALE_ERROR && self.mean.x.abs() > TOLD_SIGMAS * sigma;
-        is_told.then(|| 1.0 / (1.0 + self.mean.x))
+        let is_significant =
+            self.mean.x.abs() > REPORTED_SCALE_ERROR && self.mean.x.abs() > REPORTED_SIGMAS * sigma;
+        is_significant.then(|| 1.0 / (1.0 + self.mean.x))
     }
 
     /// Standard deviation of a corrected motion along each axis, metres.
@@ -94,8 +96,8 @@ impl Calibration {
         let walk = most * motion.seconds / FORGOTTEN_AFTER;
         self.variances = self.variances.map(|variance| (variance + walk).min(most));
         // Odometry of a platform at rest does not calibrate that of a moving one.
-        let (told, least) = (motion.translation.norm(), self.settings.least_translation_error);
-        if told.max(moved.norm()) < 2.0 * least {
+        let (distance, least) = (motion.translation.norm(), self.settings.least_translation_error);
+        if distance.max(moved.norm()) < 2.0 * least {
             return;
         }
         self.mean = self.mean_of(motion);
@@ -107,13 +109,13 @@ impl Calibration {
             if variance > found.of_prior {
                 continue;
             }
-            let expected = told * (self.mean[i] + if i == 0 { 1.0 } else { 0.0 });
+            let expected = distance * (self.mean[i] + if i == 0 { 1.0 } else { 0.0 });
             let innovation = axis.dot(moved) - expected;
-            let total = variance + least * least + noise + told * told * self.variances[i];
+            let total = variance + least * least + noise + distance * distance * self.variances[i];
             let squared = innovation * innovation / total;
             self.noise.add_relative(squared);
             if squared < OUTLIER_SQUARED_SIGMAS {
-                let gain = told * self.variances[i] / total;
+                let gain = distance * self.variances[i] / total;
                 self.mean[i] += gain * innovation;
                 self.variances[i] -= gain * gain * total;
             }
@@ -139,22 +141,22 @@ mod tests {
     /// Calibration after sweeps of 0.1 s: their motions by odometry, and their true ones.
     fn after(moves: impl Iterator<Item = (Vector3, Vector3)>, variance: f64) -> Calibration {
         let mut calibration = Calibration::new(&OdometrySettings::default().motion_prior);
-        for (told, moved) in moves {
+        for (odometry, moved) in moves {
             let (covariance, of_prior) = (Matrix3::identity() * variance, 1e-3);
             let local_from_tracking = Rigid3::identity();
-            let found = MeasuredPlace { local_from_tracking, covariance, of_prior, told: Vec::new() };
-            calibration.learn(&OdometryMotion { translation: told, seconds: 0.1 }, &moved, &found);
+            let found = MeasuredPlace { local_from_tracking, covariance, of_prior, constrained: Vec::new() };
+            calibration.learn(&OdometryMotion { translation: odometry, seconds: 0.1 }, &moved, &found);
         }
         calibration
     }
 
     #[test]
-    fn wheels_of_another_size_and_motions_that_are_turned_are_corrected() {
-        let told = Vector3::new(1.0, 0.0, 0.0);
+    fn wrong_wheel_size_and_mounting_are_corrected() {
+        let odometry = Vector3::new(1.0, 0.0, 0.0);
         let moved = Vector3::new(0.92, 0.05, -0.03);
-        let calibration = after(std::iter::repeat_n((told, moved), 40), 1e-4);
+        let calibration = after(std::iter::repeat_n((odometry, moved), 40), 1e-4);
         assert!((calibration.mean - Vector3::new(-0.08, 0.05, -0.03)).norm() < 0.01, "{}", calibration.mean);
-        let (start, motion) = (Rigid3::identity(), OdometryMotion { translation: told, seconds: 0.1 });
+        let (start, motion) = (Rigid3::identity(), OdometryMotion { translation: odometry, seconds: 0.1 });
         let (begin, end) =
             (portolan_geometry::Time::from_ticks(0), portolan_geometry::Time::from_ticks(1_000_000));
         let segment = TrajectorySegment::new(begin, end, |time| match time == end {
@@ -165,27 +167,28 @@ mod tests {
         assert!((corrected - moved).norm() < 0.01, "{corrected}");
         assert!(calibration.sigma(&motion) < 0.025, "{}", calibration.sigma(&motion));
         assert!((calibration.factor().unwrap() - 1.0 / 0.92).abs() < 0.01);
-        // The way back.
-        let back = OdometryMotion { translation: -told, seconds: 0.1 };
+        // In the opposite direction.
+        let back = OdometryMotion { translation: -odometry, seconds: 0.1 };
         let returned = calibration.corrected(&segment.changed(|_, pose| *pose = pose.inverse()), &back);
         assert!((returned.translation() - Vector3::new(-0.92, -0.05, 0.03)).norm() < 0.01);
     }
 
     #[test]
-    fn odometry_that_slips_counts_less_and_good_odometry_more() {
-        let told = |i: u32| Vector3::new(0.1, 0.0, 0.001 * f64::from(i % 2));
-        let noisy = after((0..200).map(|i| (told(i), told(i) * (1.0 + 0.8 * f64::from(i).sin()))), 1e-5);
-        let good = after((0..200).map(|i| (told(i), told(i))), 1e-5);
-        let motion = OdometryMotion { translation: told(0), seconds: 0.1 };
+    fn noise_of_slipping_odometry_is_larger_than_of_accurate_odometry() {
+        let odometry = |i: u32| Vector3::new(0.1, 0.0, 0.001 * f64::from(i % 2));
+        let noisy =
+            after((0..200).map(|i| (odometry(i), odometry(i) * (1.0 + 0.8 * f64::from(i).sin()))), 1e-5);
+        let good = after((0..200).map(|i| (odometry(i), odometry(i))), 1e-5);
+        let motion = OdometryMotion { translation: odometry(0), seconds: 0.1 };
         let sigmas = [&noisy, &Calibration::new(&noisy.settings), &good].map(|of| of.sigma(&motion));
         assert!(sigmas.is_sorted_by(|a, b| a > b), "{sigmas:?}");
         assert!(sigmas[0] > 0.04 && sigmas[2] < 0.015, "{sigmas:?}");
     }
 
     #[test]
-    fn sweeps_that_tell_nothing_and_rest_teach_nothing() {
-        let told = Vector3::new(1.0, 0.0, 0.0);
-        let open = after(std::iter::repeat_n((told, 0.5 * told), 40), 1.0);
+    fn degenerate_sweeps_and_rest_do_not_update_the_calibration() {
+        let odometry = Vector3::new(1.0, 0.0, 0.0);
+        let open = after(std::iter::repeat_n((odometry, 0.5 * odometry), 40), 1.0);
         assert_eq!((open.mean, open.factor()), (Vector3::zeros(), None));
         let resting = after(std::iter::repeat_n((Vector3::zeros(), Vector3::zeros()), 40), 1e-5);
         assert_eq!(resting.noise.variance_factor(), 1.0);

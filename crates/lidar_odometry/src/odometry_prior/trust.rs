@@ -55,13 +55,13 @@ impl TwoMotions {
     }
 
     /// Negative log-likelihood of a prediction given the registered sweep, up to a constant.
-    fn surprise(&self, predicted: &Predicted, found: &MeasuredPlace) -> f64 {
+    fn negative_log_likelihood(&self, predicted: &Predicted, found: &MeasuredPlace) -> f64 {
         let place = &found.local_from_tracking;
         let shift = place.translation.vector - predicted.end.translation.vector;
         let turn = predicted.end.rotation.angle_to(&place.rotation);
         let mut squares = self.rotation_sigma.map_or(0.0, |sigma| (turn / sigma).powi(2));
         let mut logarithms = 0.0;
-        for (direction, variance) in &found.told {
+        for (direction, variance) in &found.constrained {
             let total = predicted.sigma.powi(2) + variance;
             squares += direction.dot(&shift).powi(2) / total;
             logarithms += 0.5 * total.ln();
@@ -81,7 +81,8 @@ impl OdometryTrust {
         if !motions.differ() {
             return;
         }
-        let odds = motions.surprise(&motions.otherwise, found) - motions.surprise(&motions.measured, found);
+        let odds = motions.negative_log_likelihood(&motions.otherwise, found)
+            - motions.negative_log_likelihood(&motions.measured, found);
         self.log_odds = (self.log_odds + odds).clamp(-MOST_LOG_ODDS, MOST_LOG_ODDS);
     }
 }
@@ -99,7 +100,13 @@ mod tests {
     }
 
     /// Sweeps constrain the position along these directions only.
-    fn works_where(sweeps: usize, moved: f64, measured: f64, otherwise: f64, told: &[Vector3]) -> bool {
+    fn works_where(
+        sweeps: usize,
+        moved: f64,
+        measured: f64,
+        otherwise: f64,
+        constrained: &[Vector3],
+    ) -> bool {
         let at = |x: f64| Rigid3::translation(x, 0.0, 0.0);
         let predicted = |x: f64| Predicted { end: at(x), sigma: 0.03 };
         let motions = TwoMotions {
@@ -107,26 +114,29 @@ mod tests {
             otherwise: predicted(otherwise),
             rotation_sigma: None,
         };
-        let told = told.iter().map(|direction| (*direction, 1e-4)).collect();
+        let constrained = constrained.iter().map(|direction| (*direction, 1e-4)).collect();
         let (covariance, of_prior) = (Matrix3::identity() * 1e-4, 1e-3);
-        let found = MeasuredPlace { local_from_tracking: at(moved), covariance, of_prior, told };
+        let found = MeasuredPlace { local_from_tracking: at(moved), covariance, of_prior, constrained };
         let mut trust = OdometryTrust::default();
         (0..sweeps).for_each(|_| trust.learn(&motions, &found));
         trust.works()
     }
 
     #[test]
-    fn wheels_that_stand_while_sweeps_move_are_not_believed() {
+    fn stationary_wheels_are_not_trusted_while_sweeps_move() {
         assert!(!works_after(1, 1.2, 0.0, 1.19), "a car");
         assert!(!works_after(3, 0.15, 0.0, 0.14), "somebody who walks");
         assert!(!works_after(1, 1.2, 120.0, 1.21), "in other units");
     }
 
     #[test]
-    fn odometry_is_believed_where_it_predicts_better_or_nothing_differs() {
+    fn odometry_is_trusted_where_it_predicts_better_or_predictions_agree() {
         assert!(works_after(100, 1.2, 1.19, 1.21));
         assert!(works_after(100, 0.2, 0.21, 0.5), "a push, which constant velocity does not know");
         let across = [Vector3::y(), Vector3::z()];
-        assert!(works_where(100, 1.2, 0.0, 1.19, &across), "along a tunnel, which tells nothing of it");
+        assert!(
+            works_where(100, 1.2, 0.0, 1.19, &across),
+            "along a tunnel, where sweeps do not constrain it"
+        );
     }
 }

@@ -42,7 +42,7 @@ impl PlaneMap {
             numbers[k] = self.voxels.largest(around).unwrap_or(NO_VOXEL);
         }
         for level in 0..LEVELS {
-            // A loop without branches, so that all these reads are under way at once.
+            // A loop without branches, so that all these reads are in flight at once.
             let mut are_planes = [false; BATCH];
             for (is_plane, number) in are_planes.iter_mut().zip(&numbers) {
                 *is_plane = self.cells.get(*number).is_some_and(|cell| cell.is_plane);
@@ -68,7 +68,7 @@ mod tests {
     use crate::testing::Lcg;
 
     #[test]
-    fn many_places_have_the_planes_that_each_of_them_has() {
+    fn batch_look_ups_equal_single_look_ups() {
         let (mut lcg, mut map) = (Lcg::new(5), PlaneMap::new(1.0));
         for _ in 0..20_000 {
             let [u, v, noise] = [3.0, 3.0, 0.02].map(|range| lcg.symmetric(range));

@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn planes_come_back_as_they_were() {
+    fn planes_survive_writing_and_reading() {
         let map = walls();
         let records: Vec<PlaneRecord> = map.records().collect();
         assert!(records.len() >= 16, "{}", records.len());
@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn damaged_planes_are_none() {
+    fn damaged_planes_are_rejected() {
         let records: Vec<PlaneRecord> = walls().records().collect();
         let with = |change: fn(&mut PlaneRecord)| {
             let mut records = records.clone();

@@ -49,7 +49,7 @@ impl<'a> PoleResiduals<'a> {
         let settings = self.map.settings();
         let mut information = [na::Matrix3::<f32>::zeros(); 2];
         let squared_scale = scale.max(settings.final_scale).powi(2) as f32;
-        // Points that moved farther are paired anew.
+        // Points that moved farther are paired again.
         let noise = settings.noise();
         let slack = noise / 5.0;
         for part in &self.parts {

@@ -59,7 +59,7 @@ fn poles_of(sweep: &[TimedPoint]) -> Vec<PolePoint> {
 }
 
 #[test]
-fn trunks_and_walls_stand_and_ground_does_not() {
+fn trunks_and_walls_are_poles_and_ground_is_not() {
     let poles = poles_of(&seen_from(&Point3f::origin(), true, &mut Lcg::new(1)));
     let (walls, trunks): (Vec<_>, Vec<_>) = poles.iter().partition(|p| p.point.position.y > 8.5);
     let is_by_a_trunk = |p: &&&PolePoint| {
@@ -72,7 +72,7 @@ fn trunks_and_walls_stand_and_ground_does_not() {
 }
 
 #[test]
-fn sweeps_have_no_more_points_of_poles_than_are_needed() {
+fn the_number_of_pole_points_of_a_sweep_is_limited() {
     let forest = (0..40_000).map(|i| Point3f::new((i % 40) as f32, (i / 40 % 40) as f32, (i / 1600) as f32));
     let sweep: Vec<TimedPoint> = forest.map(|position| TimedPoint { time: 0.0, position }).collect();
     assert_eq!(poles_of(&sweep).len(), PoleSettings::default().max_points);
@@ -82,7 +82,7 @@ fn sweeps_have_no_more_points_of_poles_than_are_needed() {
 }
 
 #[test]
-fn who_leaves_among_trees_is_not_held_by_rings_on_the_ground() {
+fn poles_register_motion_among_trees_that_rings_on_the_ground_hide() {
     let mut lcg = Lcg::new(2);
     let (first, went) = (seen_from(&Point3f::origin(), true, &mut lcg), Point3f::new(0.15, 0.05, 0.0));
     let mut planes = PlaneMap::new(1.0);

@@ -50,7 +50,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn errors_of_normals_hold_what_they_feign() {
+    fn attenuation_follows_from_spurious_information() {
         let planes = PlaneMap::new(1.0);
         let (distance, most) = (planes.settings().range_noise, f64::from(planes.edge()));
         let mut equations = NormalEquations { spurious_translation: 10.0, ..NormalEquations::default() };

@@ -22,7 +22,7 @@ pub(super) struct Pair {
 /// The pairs of all points, kept from one iteration to the next.
 pub(super) struct Pairs {
     pub pairs: Vec<Pair>,
-    /// Squared displacement above which a point is paired anew, m².
+    /// Squared displacement above which a point is paired again, m².
     squared_slack: f32,
 }
 
@@ -36,7 +36,7 @@ pub(super) struct Ray {
 }
 
 impl Pairs {
-    /// Initially nothing is paired; points that move by more than `slack` metres are paired anew.
+    /// Initially nothing is paired; points that move by more than `slack` metres are paired again.
     pub fn new(num_points: usize, slack: f32) -> Self {
         let nowhere = Pair { looked_up_at: na::Vector3::repeat(f32::INFINITY), plane: None };
         Self { pairs: vec![nowhere; num_points], squared_slack: slack.powi(2) }

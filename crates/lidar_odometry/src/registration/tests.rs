@@ -33,7 +33,7 @@ fn seen_from(points: &[Point3f], pose: &Rigid3) -> Vec<Point3f> {
 }
 
 #[test]
-fn a_scan_is_found_to_millimetres() {
+fn a_scan_is_registered_to_millimetres() {
     let mut lcg = Lcg::new(5);
     let map = planes(&room(&mut lcg, true, 0.03));
     let expected = Rigid3::new(Vector3::new(0.4, -0.3, 0.1), Vector3::new(0.03, -0.02, 0.5));
@@ -66,7 +66,7 @@ fn along_a_bare_corridor_the_prior_decides() {
 }
 
 #[test]
-fn nothing_near_is_no_match() {
+fn a_scan_far_from_all_planes_is_not_matched() {
     let map = planes(&room(&mut Lcg::new(7), true, 0.01));
     let far = Rigid3::translation(100.0, 0.0, 0.0);
     let prior = PosePrior { pose: far, sigmas: Sigmas { translation: 0.1, rotation: 0.1 } };
@@ -77,7 +77,7 @@ fn nothing_near_is_no_match() {
 }
 
 #[test]
-fn hits_that_lie_in_the_cone_of_their_beam_tell_nothing() {
+fn hits_spread_along_their_beam_do_not_constrain_translations() {
     // A lidar that moved unnoticed over uneven ground: every beam hit it at several ranges.
     let mut lcg = Lcg::new(8);
     let mut sweep = |count: usize| -> Vec<Point3f> {
@@ -109,7 +109,7 @@ fn hits_that_lie_in_the_cone_of_their_beam_tell_nothing() {
 }
 
 #[test]
-fn about_the_axis_of_a_long_tunnel_nothing_is_open() {
+fn rotation_about_the_axis_of_a_long_tunnel_is_not_degenerate() {
     // Far points are near the axis: errors of their normals give no spurious information about a rotation
     // about it.
     let mut lcg = Lcg::new(9);
@@ -135,7 +135,7 @@ fn about_the_axis_of_a_long_tunnel_nothing_is_open() {
 }
 
 #[test]
-fn a_sweep_is_found_whose_start_and_speed_were_off() {
+fn a_sweep_with_wrong_start_and_velocity_is_registered() {
     let mut lcg = Lcg::new(10);
     let map = planes(&room(&mut lcg, true, 0.02));
     // The segment moves with 1 m/s and rotates with 1 rad/s; the prediction starts 1 cm beside it and is

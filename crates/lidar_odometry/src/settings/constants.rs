@@ -18,7 +18,7 @@ pub(crate) mod shift_likelihood {
     pub(crate) const MOVING_PROBABILITY: f64 = 0.1;
     /// Fraction of the prior variance below which the posterior variance of a shift counts as a
     /// measurement.
-    pub(crate) const TOLD_VARIANCE_FRACTION: f64 = 0.5;
+    pub(crate) const MEASURED_VARIANCE_FRACTION: f64 = 0.5;
     /// Half the range of tested shifts and motions, in standard deviations.
     pub(crate) const REACH_SIGMAS: f64 = 3.0;
     /// Step of tested shifts along one and along two directions, as a fraction of a cell.
@@ -153,7 +153,7 @@ pub(crate) mod innovations {
 pub(crate) mod odometry_trust {
     /// Initial logarithm of the odds that odometry works. Assumed, not measured.
     pub(crate) const FIRST_LOG_ODDS: f64 = 3.0;
-    /// Maximum of these log-odds either way, so that a failure that begins or ends is noticed within a few
+    /// Maximum magnitude of these log-odds, so that a failure that begins or ends is noticed within a few
     /// sweeps. Assumed, not measured.
     pub(crate) const MOST_LOG_ODDS: f64 = 6.0;
     /// Maximum evidence of one prediction, nats: errors may have other causes.
@@ -172,9 +172,9 @@ pub(crate) mod odometry_calibration {
     /// Assumed.
     pub(crate) const FORGOTTEN_AFTER: f64 = 100.0;
     /// Minimum scale error for a report, as a fraction.
-    pub(crate) const TOLD_SCALE_ERROR: f64 = 0.05;
+    pub(crate) const REPORTED_SCALE_ERROR: f64 = 0.05;
     /// Minimum significance of a reported scale error, in standard deviations.
-    pub(crate) const TOLD_SIGMAS: f64 = 3.0;
+    pub(crate) const REPORTED_SIGMAS: f64 = 3.0;
     /// Squared innovation, in standard deviations, above which it does not update the calibration.
     pub(crate) const OUTLIER_SQUARED_SIGMAS: f64 = 9.0;
 }

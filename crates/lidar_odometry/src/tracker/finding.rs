@@ -28,7 +28,7 @@ impl Tracker {
         issues: &mut Issues,
     ) -> Found {
         let found = self.best_prediction(sweep, prediction, issues);
-        if prediction.is_felt() || !self.fits.is_poor(&found.best.registered.sweep_fit()) {
+        if prediction.is_measured_by_imu() || !self.fits.is_poor(&found.best.registered.sweep_fit()) {
             return found;
         }
         let map = self.local_map.older();

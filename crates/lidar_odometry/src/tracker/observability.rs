@@ -21,7 +21,8 @@ impl Tracker {
         let Registered { segment, registered, .. } = best;
         let tracking_from_local = registered.local_from_tracking.rotation.inverse();
         let (up, seconds) = (tracking_from_local * Vector3::z(), segment.seconds());
-        self.witness.leaves_open(end - Duration::from_seconds(seconds), registered.open_translations());
+        let start = end - Duration::from_seconds(seconds);
+        self.travel_correlation.set_degenerate(start, registered.open_translations());
         // Where the motion is unmeasured, its direction is unknown, too.
         let translation_is_measured = segment.source.is_measured();
         let found = registered.found.as_ref();
@@ -31,7 +32,7 @@ impl Tracker {
             self.intervals.moved(&(tracking_from_local * translation), seconds, &up);
         }
         let is_assumed = segment.source == MotionSource::ConstantVelocity && !was_standing;
-        if is_assumed && self.witness.is_guess(end) {
+        if is_assumed && self.travel_correlation.is_guess(end) {
             issues.count(Issue::TravelGuessed);
         }
         let Some(found) = found else {
@@ -63,7 +64,9 @@ impl Tracker {
             _ if was_standing => Substitute::Rest,
             MotionSource::Standing | MotionSource::Odometry { .. } => Substitute::Odometry,
             MotionSource::Inertial { .. } => Substitute::Accelerometer,
-            MotionSource::ConstantVelocity if self.witness.told_lately(end) => Substitute::Correlation,
+            MotionSource::ConstantVelocity if self.travel_correlation.measured_recently(end) => {
+                Substitute::Correlation
+            }
             MotionSource::ConstantVelocity => Substitute::Velocity,
         };
         // Where a gyroscope is overruled, the rotation is constant, and not that of odometry.

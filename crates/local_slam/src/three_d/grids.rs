@@ -144,9 +144,9 @@ impl GridEngine {
             // The motion during the sweep is known only after matching.
             for _ in 0..DESKEWING_PASSES {
                 let found = matched.local_from_tracking;
-                let on_the_way =
+                let interpolated =
                     |t: Time| interpolate(last_time, &last_pose, end, &found, t.clamp(last_time, end));
-                let deskewed = deskew(gathered, last_time, on_the_way, &self.options);
+                let deskewed = deskew(gathered, last_time, interpolated, &self.options);
                 matched = self.match_deskewed((end, &deskewed), &found, insertion, issues).unwrap_or(matched);
             }
         }

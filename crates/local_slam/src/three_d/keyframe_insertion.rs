@@ -131,7 +131,7 @@ impl KeyframeInsertion {
     }
 
     /// Ends a piece of map as [`Self::finish`] does, and begins a new one.
-    pub fn begin_anew(&mut self, maps: impl Iterator<Item = PlaneMap>) -> Vec<InsertionSubmap<Space3d>> {
+    pub fn restart(&mut self, maps: impl Iterator<Item = PlaneMap>) -> Vec<InsertionSubmap<Space3d>> {
         let remaining = self.finish(maps);
         self.submaps.count_into(&mut self.issues);
         self.submaps = ActiveSubmaps::new(keyframes_per_half(&self.options));

@@ -81,12 +81,12 @@ impl PlaneEngine {
 
     pub fn add_imu(&mut self, data: &ImuData) {
         self.odometry.add_imu(data);
-        self.note_issues(data.time);
+        self.record_issues(data.time);
     }
 
     pub fn add_odometry(&mut self, data: &OdometryData) {
         self.odometry.add_odometry(data);
-        self.note_issues(data.time);
+        self.record_issues(data.time);
     }
 
     /// Processes one whole sweep: estimates its pose and inserts it. The first one waits for the second.
@@ -99,7 +99,7 @@ impl PlaneEngine {
         // The odometry counts sweeps that it cannot register.
         let _ = self.odometry.push(raw_sweep(gathered, end, &self.options));
         let results = self.register(insertion);
-        self.note_issues(end);
+        self.record_issues(end);
         results
     }
 
@@ -108,7 +108,7 @@ impl PlaneEngine {
         self.odometry.end();
         let results = self.register(insertion);
         if let Some(time) = self.last_pose_time() {
-            self.note_issues(time);
+            self.record_issues(time);
         }
         results
     }
@@ -158,7 +158,7 @@ impl PlaneEngine {
     }
 
     /// Adds the issues of the odometry since the last call, with this time.
-    fn note_issues(&mut self, time: Time) {
+    fn record_issues(&mut self, time: Time) {
         for (issue, count) in self.odometry.issues().iter() {
             let kind = issue.kind();
             let new = count.saturating_sub(self.issues.count_of(kind));
@@ -173,10 +173,10 @@ fn inserted(
     mut registered: RegisteredSweep,
     insertion: &mut KeyframeInsertion,
 ) -> MatchingResult<Space3d> {
-    let lost = registered.begun.take().map(|begun| Lost {
-        since: begun.since,
-        remaining: insertion.begin_anew(begun.maps.into_iter()),
-        ended_from_begun: begun.ended_from_begun,
+    let lost = registered.new_piece.take().map(|piece| Lost {
+        since: piece.since,
+        remaining: insertion.restart(piece.maps.into_iter()),
+        old_from_new: piece.old_from_new,
         bridge: None,
     });
     let RegisteredSweep { sweep, local_from_tracking, gravity_from_tracking, deskewed, .. } = registered;

@@ -123,7 +123,7 @@ fn a_corkscrew_in_a_cube_is_followed() {
 }
 
 #[test]
-fn without_an_imu_lidar_tells_the_rotation() {
+fn lidar_measures_the_rotation_without_an_imu() {
     let (worst, matched, slam) = run(false);
     assert!(worst < 0.1 && matched == 30, "{worst} {matched} {:?}", slam.issues());
 }

@@ -2,7 +2,7 @@
 //!
 //! A busy computer passes on the last known wheel pose; in a long gap it is one from the beginning of the
 //! gap. The motion over the gap is then too short and the next one too long by the same amount; their sum
-//! is correct. So after a scan was matched far from its pose by odometry, odometry may also go on from its
+//! is correct. So after a scan was matched far from its pose by odometry, odometry may also continue from its
 //! own pose.
 
 use portolan_geometry::Rigid2;
@@ -43,7 +43,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_behind_is_where_both_motions_lead() {
+    fn lagging_odometry_catches_up_to_the_sum_of_both_motions() {
         let mut catching_up = CatchingUp::default();
         let step = Rigid2::new(0.1, 0.0, 0.2);
         // Odometry stood while the scanner moved two steps, and reports three after that.

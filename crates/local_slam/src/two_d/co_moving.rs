@@ -82,7 +82,7 @@ impl CoMoving {
         let mark = |bin: usize| {
             let (before, range) = (known?, profile.range(bin)?);
             let is_followed = |b: &usize| before.range(*b).is_some_and(|r| (r - range).abs() < FOLLOWED);
-            // A return that stays in its direction inherits only from there, so that marks of a corner do
+            // A return that remains in its direction inherits only from there, so that marks of a corner do
             // not run along the wall.
             let from = Some(bin).filter(is_followed).or_else(|| {
                 (1..=FOLLOWED_BINS)
@@ -125,11 +125,11 @@ impl CoMoving {
             let verdicts: Vec<Option<Verdict>> = profile.returns.iter().map(verdict).collect();
             let count = |wanted| verdicts.iter().filter(|verdict| **verdict == Some(wanted)).count();
             // This scan, too, and not only odometry, must show that the scanner moved at all.
-            let is_told = CONFIRMED_BY * count(Verdict::Stays) >= count(Verdict::MovesAlong);
+            let scanner_moved = CONFIRMED_BY * count(Verdict::Static) >= count(Verdict::CoMoving);
             for (mark, verdict) in marks.iter_mut().zip(&verdicts) {
                 let change = match verdict {
-                    Some(Verdict::MovesAlong) => i8::from(is_told),
-                    Some(Verdict::Stays | Verdict::MayStay) => -1,
+                    Some(Verdict::CoMoving) => i8::from(scanner_moved),
+                    Some(Verdict::Static | Verdict::PossiblyStatic) => -1,
                     Some(Verdict::Unknown) | None => 0,
                 };
                 *mark = (*mark + change).clamp(-ENOUGH, MOST);
@@ -162,12 +162,12 @@ impl Marked {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Verdict {
     /// The earlier scan had a return there in the world, and none there in the frame of the scanner.
-    Stays,
+    Static,
     /// The earlier scan had a return there in both frames, so it may be static.
-    MayStay,
+    PossiblyStatic,
     /// The earlier scan had a return there only in the frame of the scanner, and one of the two scans sees
     /// through.
-    MovesAlong,
+    CoMoving,
     /// None of these: the earlier scan had a return in neither position, or no scan sees through.
     Unknown,
 }
@@ -177,12 +177,12 @@ enum Verdict {
 fn compare(at: Vector2, before_from_now: &Rigid2, (before, now): (&Profile, &Profile)) -> Verdict {
     let in_world = before_from_now.transform_point(&at);
     match (before.nearest(in_world), before.nearest(at)) {
-        (Some(_), None) => Verdict::Stays,
-        (Some(_), Some(_)) => Verdict::MayStay,
+        (Some(_), None) => Verdict::Static,
+        (Some(_), Some(_)) => Verdict::PossiblyStatic,
         (None, Some(partner)) => {
             let moved_away = now.sees_through(before_from_now.inverse().transform_point(&partner));
             let is_new = before.sees_through(in_world);
-            if moved_away || is_new { Verdict::MovesAlong } else { Verdict::Unknown }
+            if moved_away || is_new { Verdict::CoMoving } else { Verdict::Unknown }
         }
         (None, None) => Verdict::Unknown,
     }
@@ -307,12 +307,12 @@ mod tests {
     const DRIVEN: fn(f64) -> Rigid2 = |i| Rigid2::new(0.1 * i, 0.2, 0.1 * (0.3 * i).sin());
 
     #[test]
-    fn a_hall_does_not_move_along() {
+    fn returns_of_a_hall_are_not_co_moving() {
         assert_eq!(left_out(&|_| None, DRIVEN).iter().max(), Some(&0));
     }
 
     #[test]
-    fn what_is_fixed_to_the_robot_is_left_out() {
+    fn returns_fixed_to_the_robot_are_removed() {
         let post = |degrees: i32| (20..32).contains(&degrees).then_some(0.5);
         let counts = left_out(&post, DRIVEN);
         assert_eq!(counts[0], 0);
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_stands_or_scans_that_all_move_along_tell_nothing() {
+    fn standstill_and_scans_that_move_along_entirely_mark_no_returns() {
         let post = |degrees: i32| (20..32).contains(&degrees).then_some(0.5);
         assert_eq!(left_out(&post, |_| Rigid2::new(5.0, 0.2, 0.0)).iter().max(), Some(&0));
         // Wheels that slip: all returns stay in place while the poses move.

@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_of_steps_add_up_and_turns_make_the_way_uncertain() {
+    fn errors_of_steps_add_up_and_turns_make_the_position_uncertain() {
         let (pose, bridge) = after(&[(0.2, 0.0); 25], Motion::measured(0.2)).unwrap();
         assert!((pose.translation.x - 6.0).abs() < 1e-12 && (pose.translation.y - 2.0).abs() < 1e-12);
         assert!((bridge.rotation - 0.05).abs() < 1e-12, "{bridge:?}");
@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn wheels_that_stand_jump_or_are_not_read_say_nothing() {
+    fn stationary_jumping_or_missing_odometry_gives_no_bridge() {
         let motion = Motion::measured(0.2);
         assert!(after(&[(0.001, 0.0); 10], motion).is_none());
         assert!(after(&[(0.1, 0.0), (3.0, 0.0), (0.1, 0.0)], motion).is_none());

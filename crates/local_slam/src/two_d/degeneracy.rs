@@ -57,8 +57,8 @@ impl WeakDirection {
     }
 
     /// Whether a scan rules out poses at this distance from its match along this direction, metres.
-    pub fn is_told(&self, scan: &Scan, found: &Rigid2, metres: f64) -> bool {
-        scan.tells(found, Rigid2 { translation: self.in_scan * metres, angle: 0.0 }, &self.facing)
+    pub fn is_constrained(&self, scan: &Scan, found: &Rigid2, metres: f64) -> bool {
+        scan.distinguishes(found, Rigid2 { translation: self.in_scan * metres, angle: 0.0 }, &self.facing)
     }
 
     /// Unit vector in the frame of the scan.

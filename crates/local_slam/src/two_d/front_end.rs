@@ -1,8 +1,8 @@
 //! Front end of one trajectory: predicts, matches and inserts its scans (`slam2d.md` §5), from a given
 //! initial motion.
 
+mod degeneracy;
 mod deskew;
-mod left_open;
 mod one_scan;
 mod pieces;
 
@@ -19,14 +19,14 @@ use portolan_sensor::{ImuData, OdometryData, SynchronizedRanges};
 use portolan_submaps::{Inserter2d, Submap2d};
 
 use super::LocalSlamExtras;
-use super::belief::PoseBelief;
 use super::co_moving::CoMoving;
 use super::dead_reckoning::DeadReckoning;
 use super::gather::{Accumulation, deskew_into, gravity_aligned};
-use super::guessed_way::GuessedWay;
 use super::level::LevelFilter;
+use super::pose_status::PoseStatus;
 use super::start::{NEAR, Role, Velocity};
 use super::tracking::Tracker;
+use super::unmeasured_travel::UnmeasuredTravel;
 use crate::{
     ActiveSubmaps, GatheredVariance, InsertionSubmap, LocalSlamError, MOST_GATHERED_POINTS, MatchingResult,
     Space2d, count_extrapolated, first_point_time, motion_filter, note_corrected_odometry, take_odometry,
@@ -49,10 +49,10 @@ pub(super) struct FrontEnd {
     level: LevelFilter,
     extras: LocalSlamExtras,
     tracker: Tracker,
-    belief: PoseBelief,
+    status: PoseStatus,
     co_moving: CoMoving,
     /// The last accepted pose, in the local map.
-    last_sure: Rigid2,
+    last_confirmed: Rigid2,
     /// Dead reckoning by odometry from there.
     reckoned: DeadReckoning,
     inserter: Arc<Inserter2d>,
@@ -67,11 +67,11 @@ pub(super) struct FrontEnd {
     /// Velocity of the scanner at the start.
     start_velocity: Velocity,
     /// Whether a piece of map was begun that no measurement connects to the one before.
-    has_begun_anew: bool,
+    has_restarted: bool,
     degenerate: DegenerateIntervals,
     /// Variance accumulated where scans did not constrain the position or the heading.
     gathered: GatheredVariance,
-    guessed_way: GuessedWay,
+    unmeasured_travel: UnmeasuredTravel,
     /// Its tasks besides mapping.
     pub(super) role: Role,
     issues: IssueLog,
@@ -97,9 +97,9 @@ impl FrontEnd {
             extrapolator: None,
             level: LevelFilter::default(),
             extras,
-            belief: PoseBelief::default(),
+            status: PoseStatus::default(),
             co_moving: CoMoving::default(),
-            last_sure: Rigid2::identity(),
+            last_confirmed: Rigid2::identity(),
             reckoned: DeadReckoning::from(Rigid2::identity()),
             tracker,
             active_submaps: no_submaps(options, &extras),
@@ -109,10 +109,10 @@ impl FrontEnd {
             last_odometry_time: None,
             waiting_ranges: VecDeque::new(),
             start_velocity,
-            has_begun_anew: false,
+            has_restarted: false,
             degenerate: OdometrySettings::default().degenerate_intervals(),
             gathered: GatheredVariance::default(),
-            guessed_way: GuessedWay::default(),
+            unmeasured_travel: UnmeasuredTravel::default(),
             role,
             issues: IssueLog::default(),
             options: options.clone(),
@@ -136,7 +136,7 @@ impl FrontEnd {
         self.extrapolator.get_or_insert_with(|| {
             let mut extrapolator =
                 PoseExtrapolator::new(options.pose_queue_duration, gravity_time_constant, use_all_odometry);
-            pieces::begin_anew(&mut extrapolator, time, Rigid3::identity(), velocity);
+            pieces::restart(&mut extrapolator, time, Rigid3::identity(), velocity);
             for odometry in waiting.drain(..) {
                 let _ = extrapolator.add_odometry(&odometry);
             }
@@ -181,7 +181,7 @@ impl FrontEnd {
         }
         if ranges.points.is_empty() {
             let gravity = extrapolator.estimate_gravity_orientation(ranges.time);
-            return self.carried_blind(ranges.time, gravity);
+            return self.carried_without_returns(ranges.time, gravity);
         }
         let last_pose = deskew_into(
             ranges,

@@ -7,7 +7,7 @@ use portolan_submaps::{ScanMatch2d, SearchWindow};
 const AT_EDGE: f64 = 0.85;
 
 /// A search and its best match.
-pub(super) struct Looked {
+pub(super) struct CachedSearch {
     pub around: Rigid2,
     pub window: SearchWindow,
     pub found: ScanMatch2d,
@@ -42,7 +42,7 @@ pub(super) enum Basis {
     /// Odometry that lagged behind and has caught up.
     CaughtUp,
     /// Only the previous motion (constant velocity).
-    WentOn,
+    ConstantVelocity,
 }
 
 impl Hypothesis {

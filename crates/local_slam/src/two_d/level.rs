@@ -16,7 +16,7 @@ use portolan_sensor::ImuData;
 
 /// Standard deviation of the initial tilt from the mean of the first accelerations, radians: a platform
 /// that accelerates by 1 m/s².
-const FIRST_LEAN: f64 = 0.1;
+const FIRST_TILT: f64 = 0.1;
 /// Standard deviation of an unmeasured velocity, m/s: walkers, wheels.
 const UNKNOWN_VELOCITY: f64 = 2.0;
 /// Standard deviations of matched poses: along each axis, metres, and of the heading, radians.
@@ -108,23 +108,23 @@ impl LevelFilter {
         }
     }
 
-    /// Takes the matched pose of a scan. `tells_place`: the position was measured; otherwise most of it
+    /// Takes the matched pose of a scan. `measures_position`: the position was measured; otherwise most of it
     /// comes from the prediction.
-    pub fn add_pose(&mut self, time: Time, local_from_tracking: &Rigid3, tells_place: bool) {
+    pub fn add_pose(&mut self, time: Time, local_from_tracking: &Rigid3, measures_position: bool) {
         if self.last_sample.is_none() {
             return;
         }
         let at_scan = match &self.phase {
             Phase::Averaging { .. } => {
-                let sigmas = [PLACE, FIRST_LEAN, UNKNOWN_VELOCITY];
+                let sigmas = [PLACE, FIRST_TILT, UNKNOWN_VELOCITY];
                 InertialEstimate::in_level_map(local_from_tracking, sigmas, USUAL_GRAVITY, &self.errors)
             }
             Phase::Filtering { at_scan, time: before, .. } => {
                 let mut estimate = (**at_scan).clone();
-                if self.go_on(&mut estimate, (*before, time)) {
-                    self.correct(&mut estimate, local_from_tracking, tells_place);
+                if self.propagate(&mut estimate, (*before, time)) {
+                    self.correct(&mut estimate, local_from_tracking, measures_position);
                 } else {
-                    let sigmas = [PLACE, FIRST_LEAN, UNKNOWN_VELOCITY];
+                    let sigmas = [PLACE, FIRST_TILT, UNKNOWN_VELOCITY];
                     estimate.moved_to(local_from_tracking, Vector3::zeros(), sigmas);
                 }
                 estimate
@@ -140,7 +140,7 @@ impl LevelFilter {
 
     /// Propagates the estimate from one scan to the next by the IMU. False, with the estimate unchanged,
     /// if samples are missing.
-    fn go_on(&self, estimate: &mut InertialEstimate, (from, to): (Time, Time)) -> bool {
+    fn propagate(&self, estimate: &mut InertialEstimate, (from, to): (Time, Time)) -> bool {
         let samples = self.samples.all();
         let times = samples.iter().map(|sample| sample.time).filter(|time| (from..to).contains(time));
         let mut last = from;
@@ -161,21 +161,26 @@ impl LevelFilter {
     }
 
     /// Updates the estimate by a matched pose, which measures position and heading.
-    fn correct(&mut self, estimate: &mut InertialEstimate, local_from_tracking: &Rigid3, tells_place: bool) {
+    fn correct(
+        &mut self,
+        estimate: &mut InertialEstimate,
+        local_from_tracking: &Rigid3,
+        measures_position: bool,
+    ) {
         let unknown = UNKNOWN * UNKNOWN;
         let turn = estimate.rotation_to(&local_from_tracking.rotation);
         let error = Matrix3::from_diagonal(&Vector::new(unknown, unknown, HEADING * HEADING));
         let of_heading = estimate.covariance_of(InertialEntry::Rotation).m33 + HEADING * HEADING;
         self.turns.add_relative(turn.z * turn.z / of_heading);
         estimate.correct(InertialEntry::Rotation, &Vector3::new(0.0, 0.0, turn.z), &error);
-        let horizontal = if tells_place { PLACE } else { PREDICTED_PLACE };
+        let horizontal = if measures_position { PLACE } else { PREDICTED_PLACE };
         let variances = Vector::new(horizontal * horizontal, horizontal * horizontal, HEIGHT * HEIGHT);
         let error = Matrix3::from_diagonal(&variances);
         let innovation = local_from_tracking.translation.vector - estimate.place;
         let expected = estimate.covariance_of(InertialEntry::Place) + error;
         let squared =
             expected.try_inverse().map_or(f64::INFINITY, |inverse| innovation.dot(&(inverse * innovation)));
-        if tells_place {
+        if measures_position {
             self.accelerations.add_relative(squared / 3.0);
         }
         if squared > OUTLIER_SIGMAS * OUTLIER_SIGMAS {
@@ -199,8 +204,8 @@ mod tests {
     fn pose(t: f64) -> Rigid3 {
         let angle = 0.7 * t;
         let place = Vector3::new(2.0 * angle.cos(), 2.0 * angle.sin(), 0.0);
-        let lean = quaternion_from_angle_axis(&(Vector3::x() * 0.5));
-        Rigid3::from_parts(place.into(), quaternion_from_angle_axis(&(Vector3::z() * angle)) * lean)
+        let tilt = quaternion_from_angle_axis(&(Vector3::x() * 0.5));
+        Rigid3::from_parts(place.into(), quaternion_from_angle_axis(&(Vector3::z() * angle)) * tilt)
     }
 
     fn sample(t: f64, bias: &Vector3) -> ImuData {
@@ -219,8 +224,8 @@ mod tests {
 
     /// The error of the vertical after this time, seconds, in radians, and that of the angular velocity,
     /// rad/s; and the largest error of the vertical in the second half. Positions are measured at the
-    /// times `tells_place`.
-    fn after(seconds: f64, bias: Vector3, tells_place: impl Fn(f64) -> bool) -> (f64, f64, f64) {
+    /// times `measures_position`.
+    fn after(seconds: f64, bias: Vector3, measures_position: impl Fn(f64) -> bool) -> (f64, f64, f64) {
         let (mut filter, mut result) = (LevelFilter::default(), (0.0, 0.0, 0.0));
         for i in 1..=(100.0 * seconds) as i32 {
             let t = 0.01 * f64::from(i);
@@ -230,14 +235,14 @@ mod tests {
             let drift = (data.angular_velocity - up * 0.7).norm();
             result = (off, drift, if t > 0.5 * seconds { off.max(result.2) } else { 0.0 });
             if i % 10 == 0 {
-                filter.add_pose(at(t), &pose(t), tells_place(t));
+                filter.add_pose(at(t), &pose(t), measures_position(t));
             }
         }
         result
     }
 
     #[test]
-    fn neither_curves_nor_a_biased_gyroscope_make_it_lean() {
+    fn curves_and_gyroscope_bias_do_not_tilt_the_level() {
         // In such curves a bias of the accelerometer cannot be separated from both: 0.1 m/s² are 0.6°.
         let (off, drift, _) = after(10.0, Vector3::new(0.05, -0.04, 0.03), |_| true);
         assert!(off.to_degrees() < 0.8 && drift < 0.01, "{off} {drift}");
@@ -246,13 +251,13 @@ mod tests {
     }
 
     #[test]
-    fn where_scans_tell_no_place_for_a_while_it_stays_level() {
+    fn the_level_is_kept_while_scans_do_not_measure_the_position() {
         let (_, _, most) = after(60.0, Vector3::new(0.01, 0.0, -0.01), |t| !(30.0..45.0).contains(&t));
         assert!(most.to_degrees() < 0.5, "{most}");
     }
 
     #[test]
-    fn a_place_elsewhere_is_where_it_goes_on() {
+    fn a_jump_of_the_pose_is_followed() {
         let mut filter = LevelFilter::default();
         for i in 1..=2000 {
             let t = 0.01 * f64::from(i);
@@ -268,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_that_are_none_and_gaps_of_decades_do_no_harm() {
+    fn invalid_samples_and_gaps_of_decades_do_no_harm() {
         let mut filter = LevelFilter::default();
         for i in 1..=1000 {
             let t = 0.01 * f64::from(i);

@@ -1,26 +1,26 @@
 //! Local SLAM in 2D (`slam2d.md` §5).
 
-mod belief;
 mod catching_up;
 mod co_moving;
 mod dead_reckoning;
 mod degeneracy;
 mod front_end;
 mod gather;
-mod guessed_way;
 mod hypotheses;
+mod independent_measurements;
 mod level;
 mod motion;
 mod occlusion;
 mod odometry_failure;
 mod odometry_scale;
+mod pose_status;
 mod posterior;
 mod prediction_error;
 mod scan;
 mod start;
 mod tracking;
 mod unknown_motion;
-mod witnesses;
+mod unmeasured_travel;
 
 use portolan_config::TrajectoryBuilder2dOptions;
 use portolan_geometry::Time;
@@ -31,8 +31,8 @@ use portolan_sensor::{ImuData, OdometryData, RangeDataCollator, SensorId, TimedP
 use portolan_submaps::Submap2d;
 
 use crate::{InsertionSubmap, LocalSlam, LocalSlamError, MatchingResult, Space2d, count_collated};
-pub use belief::refutes_place;
 use front_end::FrontEnd;
+pub use pose_status::refutes_place;
 use start::{FirstMotion, Held, Role, Start, Velocity};
 
 /// Settings of local SLAM in 2D beyond Cartographer's options.
@@ -89,22 +89,20 @@ impl LocalSlam2d {
         match motion {
             FirstMotion::Odometry => {}
             FirstMotion::Velocity(velocity) => self.front_end.set_velocity(velocity),
-            FirstMotion::InSpiteOfOdometry(velocity) => {
-                self.front_end.set_velocity_in_spite_of_odometry(velocity)
-            }
+            FirstMotion::AgainstOdometry(velocity) => self.front_end.set_velocity_against_odometry(velocity),
         }
-        let results = self.hand_on(held);
+        let results = self.process(held);
         self.watch();
         results
     }
 
-    fn hand_on(&mut self, held: Vec<Held>) -> Vec<MatchingResult<Space2d>> {
-        held.into_iter().flat_map(|measurement| measurement.given_to(&mut self.front_end)).collect()
+    fn process(&mut self, held: Vec<Held>) -> Vec<MatchingResult<Space2d>> {
+        held.into_iter().flat_map(|measurement| measurement.add_to(&mut self.front_end)).collect()
     }
 
     /// Holds measurements back again where a new piece of map was begun and no sensor measures the motion.
     fn watch(&mut self) {
-        if self.front_end.take_begun_anew() {
+        if self.front_end.take_restarted() {
             self.start.reopen();
         }
     }

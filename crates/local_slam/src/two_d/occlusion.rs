@@ -54,12 +54,12 @@ impl Occlusion {
             self.last = log_reach(returns.points.iter());
             return View::Nothing;
         }
-        self.sees_place(returns);
+        self.add_clear_view(returns);
         if occluded >= MANY_OCCLUDED { View::Part } else { View::Clear }
     }
 
     /// Learns the reach of a scan that is not fully occluded.
-    pub fn sees_place(&mut self, returns: &PointCloud) {
+    pub fn add_clear_view(&mut self, returns: &PointCloud) {
         self.last = None;
         log_reach(returns.points.iter()).into_iter().for_each(|reach| self.usual.add(reach));
     }
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn people_hide_a_part_and_a_cover_everything() {
+    fn people_occlude_a_part_and_a_cover_everything() {
         let mut occlusion = Occlusion::default();
         assert_eq!(occlusion.view(&agreement(0.9, 0.0), 0.1, &returns(5.0)), View::Clear);
         assert_eq!(occlusion.view(&agreement(0.6, 0.0), 0.4, &returns(3.0)), View::Part);
@@ -104,12 +104,12 @@ mod tests {
     }
 
     #[test]
-    fn what_is_covered_stays_so_where_the_map_ends() {
+    fn a_covered_scanner_remains_occluded_beyond_the_map() {
         let unknown = ScanAgreement::default();
         let mut occlusion = Occlusion::default();
         assert_eq!(occlusion.view(&unknown, 0.0, &returns(0.2)), View::Clear);
         for _ in 0..500 {
-            occlusion.sees_place(&returns(5.0));
+            occlusion.add_clear_view(&returns(5.0));
         }
         assert_eq!(occlusion.view(&unknown, 0.0, &returns(0.2)), View::Clear);
         assert_eq!(occlusion.view(&agreement(0.0, 0.0), 1.0, &returns(0.2)), View::Nothing);
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn who_sees_through_walls_is_elsewhere() {
+    fn beams_through_walls_show_a_wrong_place() {
         assert!(sees_through(&agreement(0.2, 0.3)) && sees_through(&agreement(0.0, 0.1)));
         assert!(!sees_through(&agreement(0.4, 0.1)) && !sees_through(&agreement(0.0, 0.0)));
     }

@@ -210,10 +210,11 @@ mod tests {
     }
 
     #[test]
-    fn wheels_that_stall_may_fail_and_go_on_failing_if_the_scan_says_so() {
+    fn stalled_wheels_keep_failing_while_scans_contradict_them() {
         let mut failure = OdometryFailure::default();
-        let (went_on, log_odds) = measured(&mut failure, 0.25, 0.0).expect("a sudden stop is doubted");
-        assert!((went_on.prediction.translation.x - 0.25).abs() < 1e-12);
+        let (constant_velocity, log_odds) =
+            measured(&mut failure, 0.25, 0.0).expect("a sudden stop is suspect");
+        assert!((constant_velocity.prediction.translation.x - 0.25).abs() < 1e-12);
         assert!(log_odds.abs() < 2.0, "{log_odds}");
         assert!(failure.fails(log_odds + 5.0));
         // The scanner slows down: both models are tracked although they nearly agree.
@@ -222,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_stops_at_once_at_the_speed_of_a_car() {
+    fn sudden_stops_at_the_speed_of_a_car_are_suspect() {
         let suspected = |moved: f64, metres: f64| {
             let mut failure = OdometryFailure::default();
             failure.add_motion(&Rigid2::new(moved, 0.0, 0.0), SECONDS, MotionObservability::Full);
@@ -234,17 +235,17 @@ mod tests {
     }
 
     #[test]
-    fn odometry_that_moves_as_scans_do_works() {
+    fn odometry_that_agrees_with_scans_works() {
         let mut failure = OdometryFailure::default();
-        let (_, log_odds) = measured(&mut failure, 0.25, 0.0).expect("a sudden stop is doubted");
+        let (_, log_odds) = measured(&mut failure, 0.25, 0.0).expect("a sudden stop is suspect");
         assert!(failure.fails(log_odds + 5.0));
-        let doubted = measured(&mut failure, 0.25, 0.26);
-        assert!(doubted.is_none_or(|(_, log_odds)| log_odds < -3.0), "{doubted:?}");
+        let suspected = measured(&mut failure, 0.25, 0.26);
+        assert!(suspected.is_none_or(|(_, log_odds)| log_odds < -3.0), "{suspected:?}");
         assert!(measured(&mut failure, 0.25, 0.24).is_none());
     }
 
     #[test]
-    fn wheels_that_slip_are_told_from_where_the_scan_was_found() {
+    fn slipping_wheels_are_detected_from_the_matched_pose() {
         let mut failure = OdometryFailure::default();
         // The reading is plausible as a push.
         assert!(measured(&mut failure, 0.26, 0.48).is_none());
@@ -263,10 +264,10 @@ mod tests {
     }
 
     #[test]
-    fn a_velocity_that_scans_left_open_says_little() {
+    fn a_velocity_from_degenerate_scans_is_weak_evidence() {
         let odds = |observabilities: [MotionObservability; 3]| {
             let mut failure = OdometryFailure::default();
-            let (_, log_odds) = measured(&mut failure, 0.25, 0.0).expect("a sudden stop is doubted");
+            let (_, log_odds) = measured(&mut failure, 0.25, 0.0).expect("a sudden stop is suspect");
             assert!(failure.fails(log_odds + 5.0));
             observabilities.map(|observability| {
                 measured_after(&mut failure, (0.4, observability), 0.07)
@@ -282,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn a_velocity_of_long_ago_says_nothing() {
+    fn an_old_velocity_is_no_evidence() {
         let mut failure = OdometryFailure::default();
         failure.add_motion(&Rigid2::new(1.0, 0.0, 0.0), 2.0, MotionObservability::Full);
         let motion = Motion::measured(SECONDS);

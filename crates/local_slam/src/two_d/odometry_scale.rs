@@ -84,8 +84,8 @@ impl OdometryScale {
         let (along, across) = (1.0 + self.along.correction(), self.across.correction());
         let lever = Vector2::new(self.ahead.correction(), self.left.correction());
         let turned = measured.rotation_matrix() * lever - lever;
-        let way = measured.translation * along + to_left(&measured.translation) * across;
-        Rigid2 { translation: way + turned, ..*measured }
+        let scaled = measured.translation * along + to_left(&measured.translation) * across;
+        Rigid2 { translation: scaled + turned, ..*measured }
     }
 
     /// Ratio of the distance by odometry to that by scans; none where it is not corrected.
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slip_and_standing_teach_next_to_nothing() {
+    fn slip_and_standstill_hardly_update_the_scale() {
         let mut scale = learned(1.0, 0.0);
         let slip = Rigid2 { translation: Vector2::new(-2.85, 0.0), angle: 1.4 };
         let measured = Rigid2 { translation: Vector2::new(0.15, 0.0), angle: 0.0 };

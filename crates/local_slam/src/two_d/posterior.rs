@@ -5,15 +5,15 @@
 //! push or a jump of the odometry, after which the scanner may be anywhere within reach. So a pose far
 //! from the prediction needs much better evidence than one nearby, but not infinitely much. Beams are not
 //! independent: neighbours hit the same person or wall. A scan counts as as many independent measurements
-//! as its [`Witnesses`].
+//! as its [`IndependentMeasurements`].
 
 use std::f64::consts::TAU;
 
 use portolan_geometry::{Rigid2, normalize_angle};
 use portolan_grids::ScanAgreement;
 
+use super::independent_measurements::IndependentMeasurements;
 use super::prediction_error::PredictionSigmas;
-use super::witnesses::Witnesses;
 
 /// Evidence of an explained beam for a pose, and of a contradicted beam against it, nats. At a correct
 /// pose four of five beams are explained and one of twelve is contradicted; at a wrong pose a quarter and
@@ -53,9 +53,9 @@ impl MotionPrior {
         &self,
         pose: &Rigid2,
         agreement: &ScanAgreement,
-        (evidence, witnesses): (&BeamEvidence, Witnesses),
+        (evidence, independent_measurements): (&BeamEvidence, IndependentMeasurements),
     ) -> f64 {
-        self.log_density(pose) + evidence.log_likelihood(agreement, witnesses)
+        self.log_density(pose) + evidence.log_likelihood(agreement, independent_measurements)
     }
 
     /// Deviation of a pose from the prediction, in standard deviations.
@@ -67,8 +67,8 @@ impl MotionPrior {
 }
 
 /// Evidence of beams for a pose. Where people walk about, beams end in former free space at the correct
-/// pose, too, and such beams say little against it. Their fraction is learned from recent matches. No beam
-/// passes through a wall.
+/// pose, too, and such beams are weak evidence against it. Their fraction is learned from recent matches. No
+/// beam passes through a wall.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BeamEvidence {
     in_free_space: f64,
@@ -90,14 +90,18 @@ impl BeamEvidence {
 
     /// Logarithm of the likelihood ratio of a correct and a wrong pose. Beams in unknown cells do not
     /// count.
-    pub fn log_likelihood(&self, agreement: &ScanAgreement, witnesses: Witnesses) -> f64 {
+    pub fn log_likelihood(
+        &self,
+        agreement: &ScanAgreement,
+        independent_measurements: IndependentMeasurements,
+    ) -> f64 {
         let (right, wrong) = IN_FREE_SPACE;
         let in_free_space = (wrong / self.in_free_space.clamp(right, wrong)).ln();
         let share = f64::from;
         let nats = EXPLAINED * share(agreement.explained)
             - in_free_space * share(agreement.in_free_space)
             - CONTRADICTED * share(agreement.through_solid);
-        witnesses.count() * nats
+        independent_measurements.count() * nats
     }
 }
 
@@ -130,16 +134,16 @@ mod tests {
 
     fn after(evidence: &BeamEvidence, metres: f64, degrees: f64, shares: (f32, f32)) -> f64 {
         let prior = MotionPrior { prediction: Rigid2::identity(), sigmas: SIGMAS };
-        let witnesses = Witnesses::default();
+        let independent_measurements = IndependentMeasurements::default();
         prior.log_posterior(
             &Rigid2::new(metres, 0.0, degrees.to_radians()),
             &agreement(shares),
-            (evidence, witnesses),
+            (evidence, independent_measurements),
         )
     }
 
     #[test]
-    fn a_scan_that_fits_nowhere_stays_where_it_was_predicted() {
+    fn a_scan_that_fits_nowhere_is_placed_at_its_prediction() {
         let predicted = log_posterior(0.0, 0.0, 0.02, 0.93);
         // People all around: elsewhere a few more beams fit by chance.
         assert!(predicted > log_posterior(2.7, 92.0, 0.12, 0.8));

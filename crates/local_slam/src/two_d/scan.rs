@@ -5,10 +5,10 @@ use portolan_grids::score_difference;
 use portolan_sensor::PointCloud;
 use portolan_submaps::Submap2d;
 
+use super::independent_measurements::IndependentMeasurements;
 use super::posterior::MotionPrior;
-use super::witnesses::Witnesses;
 
-/// Minimum difference of the fits of two poses that tells them apart, in standard errors.
+/// Minimum difference of the fits of two poses that distinguishes them, in standard errors.
 const SIGNIFICANT: f64 = 2.0;
 
 /// Input of a search: the scan and the submap.
@@ -21,18 +21,18 @@ pub(super) struct Scan<'a> {
     /// Submap to match against.
     pub submap: &'a Submap2d,
     /// Number of independent measurements among the returns.
-    pub witnesses: Witnesses,
+    pub independent_measurements: IndependentMeasurements,
 }
 
 impl<'a> Scan<'a> {
     pub fn new(cloud: &'a PointCloud, returns: &'a PointCloud, submap: &'a Submap2d) -> Self {
-        Self { cloud, returns, submap, witnesses: Witnesses::of(returns) }
+        Self { cloud, returns, submap, independent_measurements: IndependentMeasurements::of(returns) }
     }
 
     /// Whether the scan constrains its pose against this offset: the map fits significantly worse at the
     /// offset to either side of the match, with weights for the returns. The offset is in the frame of the
     /// scan.
-    pub fn tells(&self, found: &Rigid2, offset: Rigid2, weights: &[f32]) -> bool {
+    pub fn distinguishes(&self, found: &Rigid2, offset: Rigid2, weights: &[f32]) -> bool {
         [offset, offset.inverse()].iter().all(|offset| {
             let poses = [found, &(*found * *offset)];
             score_difference(&self.submap.grid, poses, self.returns, weights).is_none_or(|s| s > SIGNIFICANT)
@@ -64,7 +64,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_share_goes_from_the_prediction_to_the_match() {
+    fn the_share_interpolates_from_the_prediction_to_the_match() {
         let (predicted, found) = (Rigid2::new(1.0, 2.0, 3.0), Rigid2::new(1.5, 1.0, -3.0));
         for (share, pose) in [(0.0, predicted), (1.0, found)] {
             let off = with_share(&predicted, &found, share).inverse() * pose;

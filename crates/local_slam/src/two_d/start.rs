@@ -38,7 +38,7 @@ const FARTHEST: f64 = 4.0;
 const SQUARE: SearchWindow = SearchWindow { linear: ALIKE, angular: 0.08 };
 /// Search window of a tracked scan around its prediction, metres and radians.
 pub(super) const NEAR: SearchWindow = SearchWindow { linear: 0.2, angular: 0.1 };
-/// Maximum number of motions that are tracked, beside standing still.
+/// Maximum number of motions that are tracked, besides standing still.
 const FOLLOWED: usize = 4;
 /// Number of scans after which a motion may be dropped, and by how many nats it must be less likely than
 /// another one after the same number of scans.
@@ -104,7 +104,7 @@ pub(super) enum Held {
 
 impl Held {
     /// Passes it to the front end.
-    pub fn given_to(self, front_end: &mut FrontEnd) -> Vec<MatchingResult<Space2d>> {
+    pub fn add_to(self, front_end: &mut FrontEnd) -> Vec<MatchingResult<Space2d>> {
         match self {
             Self::Ranges(ranges) => front_end.add_ranges(ranges),
             Self::Imu(data) => {
@@ -187,9 +187,9 @@ fn log_likelihood(prediction: Rigid2, found: &Found, motion: Motion, scan: &Scan
         rotation: MATCHED.rotation.hypot(ANGULAR_ACCELERATION * square),
     };
     let prior = MotionPrior { prediction, sigmas };
-    let beams = found
-        .agreement
-        .map_or(0.0, |agreement| BeamEvidence::default().log_likelihood(&agreement, scan.witnesses));
+    let beams = found.agreement.map_or(0.0, |agreement| {
+        BeamEvidence::default().log_likelihood(&agreement, scan.independent_measurements)
+    });
     prior.log_density(&found.pose) + beams
 }
 
@@ -201,7 +201,7 @@ pub(super) enum FirstMotion {
     /// No sensor measured the motion; it is this.
     Velocity(Velocity),
     /// Odometry measures the motion but fails; it is this.
-    InSpiteOfOdometry(Velocity),
+    AgainstOdometry(Velocity),
 }
 
 /// Holds measurements back until the initial motion is determined.
@@ -321,7 +321,7 @@ impl Start {
             if other.len() >= best.len() && other.last() > best.last() && other.last() > Some(&0.0) {
                 best = other;
                 motion = match has_odometry {
-                    true => FirstMotion::InSpiteOfOdometry(proposed),
+                    true => FirstMotion::AgainstOdometry(proposed),
                     false => FirstMotion::Velocity(proposed),
                 };
             }
@@ -329,7 +329,7 @@ impl Start {
         motion
     }
 
-    /// Motions that the first two scans may show, beside standing still.
+    /// Motions that the first two scans may show, besides standing still.
     fn proposed(&self) -> Vec<Velocity> {
         let found = |role: &Role| matches!(role, Role::Proposing(found) if !found.is_empty());
         match self.followed(Velocity::default(), Role::Proposing(Vec::new()), found, false) {
@@ -365,7 +365,7 @@ impl Start {
         let mut front_end = FrontEnd::new(&self.options, self.extras, velocity, role).ok()?;
         let is_used = |held: &&Held| with_odometry || !matches!(held, Held::Odometry(_));
         for measurement in self.held().iter().filter(is_used) {
-            measurement.clone().given_to(&mut front_end);
+            measurement.clone().add_to(&mut front_end);
             if is_enough(&front_end.role) {
                 return Some(front_end.role);
             }
@@ -447,32 +447,38 @@ mod tests {
     }
 
     #[test]
-    fn a_vehicle_is_at_speed_and_a_robot_stands_or_goes() {
+    fn initial_speeds_of_vehicles_and_robots_are_found() {
         for speed in [0.0, 0.5, 2.0, 5.0, 12.0, 24.0] {
-            let (way, scans) = followed(speed, None);
+            let (distance, scans) = followed(speed, None);
             // At 2 m/s the second scan, of which the map of one scan explains nothing, is found 0.1 m short.
-            assert!((way - 2.0 * speed).abs() < 0.13 && scans == 21, "{speed} m/s: {way} m, {scans} scans");
+            assert!(
+                (distance - 2.0 * speed).abs() < 0.13 && scans == 21,
+                "{speed} m/s: {distance} m, {scans} scans"
+            );
         }
     }
 
     #[test]
-    fn wheels_that_stand_at_speed_are_not_believed() {
+    fn stationary_wheels_at_speed_are_not_trusted() {
         for speed in [0.0, 5.0, 12.0, 24.0] {
-            let (way, scans) = followed(speed, Some(0.0));
-            assert!((way - 2.0 * speed).abs() < 0.1 && scans == 21, "{speed} m/s: {way} m, {scans} scans");
+            let (distance, scans) = followed(speed, Some(0.0));
+            assert!(
+                (distance - 2.0 * speed).abs() < 0.1 && scans == 21,
+                "{speed} m/s: {distance} m, {scans} scans"
+            );
         }
     }
 
     #[test]
-    fn wheels_that_spin_while_standing_are_not_believed() {
+    fn wheels_that_spin_at_rest_are_not_trusted() {
         for claimed in [2.0, 4.0, 12.0] {
-            let (way, scans) = followed(0.0, Some(claimed));
-            assert!(way < 0.1 && scans == 21, "{claimed} m/s: {way} m, {scans} scans");
+            let (distance, scans) = followed(0.0, Some(claimed));
+            assert!(distance < 0.1 && scans == 21, "{claimed} m/s: {distance} m, {scans} scans");
         }
     }
 
     #[test]
-    fn of_odometry_before_the_first_scan_two_poses_are_held() {
+    fn two_odometry_poses_before_the_first_scan_are_kept() {
         let options = Options::for_2d().trajectory_builder.trajectory_builder_2d;
         let mut start = Start::new(&options, LocalSlamExtras::default(), true);
         for i in 0..10 {
@@ -488,7 +494,7 @@ mod tests {
     }
 
     #[test]
-    fn speeds_are_likely_as_far_as_anything_drives() {
+    fn the_prior_of_speeds_covers_all_vehicles() {
         let at = |speed: f64| Velocity { linear: Vector2::new(speed, 0.0), angular: 0.0 }.log_prior();
         assert!(at(0.0) > at(0.5) && at(0.5) > at(1.5) && at(1.5) > at(3.0));
         assert!((at(5.0) - at(25.0)).abs() < 1e-6);

@@ -13,14 +13,14 @@ use portolan_sensor::PointCloud;
 use portolan_submaps::{ScanMatch2d, ScanMatcher2d, SearchWindow, Searched};
 
 use super::LocalSlamExtras;
-use super::belief::is_hardly_explained;
 use super::catching_up::CatchingUp;
 use super::degeneracy::WeakDirection;
-use super::hypotheses::{Basis, Judgement, Looked};
+use super::hypotheses::{Basis, CachedSearch, Judgement};
 use super::motion::{ACCELERATION, ANGULAR_ACCELERATION, Measured, Motion, WIDEST, reached_by_acceleration};
 use super::occlusion::Occlusion;
 use super::odometry_failure::{MotionObservability, OdometryFailure};
 use super::odometry_scale::OdometryScale;
+use super::pose_status::is_hardly_explained;
 use super::posterior::{BeamEvidence, MotionPrior};
 use super::prediction_error::{PredictionError, PredictionSigmas, UsualScore};
 use super::scan::{Scan, with_share};
@@ -31,7 +31,7 @@ use crate::{OdometryBridge, UsualAgreement};
 const WITHIN_SIGMAS: f64 = 3.5;
 /// Ratio of the time between two scans to the usual one from which on it is a gap.
 const INTERVALS_OF_A_GAP: f64 = 10.0;
-/// Minimum duration of a gap, seconds: in less time a robot stays within the search window, whatever
+/// Minimum duration of a gap, seconds: in less time a robot remains within the search window, whatever
 /// odometry reports.
 const LEAST_GAP: f64 = 3.0;
 /// Time constant of the usual interval, scans.
@@ -44,15 +44,15 @@ const ELSEWHERE: SearchWindow = SearchWindow { linear: 0.15, angular: 0.1 };
 const MOSTLY: f64 = 0.67;
 /// Uncertainty up to which a scan counts as constraining a direction, metres and radians; otherwise the
 /// prediction determines it. Larger errors of odometry are noticed.
-const TOLD_WITHIN: SearchWindow = SearchWindow { linear: 0.25, angular: 0.05 };
+const CONSTRAINED_WITHIN: SearchWindow = SearchWindow { linear: 0.25, angular: 0.05 };
 
 /// Directions in which the prediction determined the pose, since the scan constrains them weakly.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum LeftOpen {
-    Nothing,
+pub(super) enum Degeneracy {
+    None,
     /// The position in this direction, a unit vector in the frame of the scan.
-    Along(Vector2),
-    Everything,
+    Direction(Vector2),
+    Full,
 }
 
 /// Match of a scan.
@@ -65,9 +65,9 @@ pub(super) struct Found {
     /// Whether odometry measured the motion but was not used.
     pub overrules_odometry: bool,
     /// Whether the scan or odometry constrains the position in the plane, so that none of it is assumed.
-    pub tells_place: bool,
+    pub measures_position: bool,
     /// Directions in which the prediction determined the pose.
-    pub left_open: LeftOpen,
+    pub degeneracy: Degeneracy,
     /// How the map agrees with the scan there; none if the grid is a distance field.
     pub agreement: Option<ScanAgreement>,
 }
@@ -90,7 +90,7 @@ pub(super) struct Tracker {
     /// Mean time from scan to scan without gaps, seconds.
     interval: Option<f64>,
     /// Search result for the next scan, if it was searched before.
-    looked: Option<Looked>,
+    cached_search: Option<CachedSearch>,
     occlusion: Occlusion,
     remembered: RememberedScans,
 }
@@ -117,7 +117,7 @@ impl Tracker {
             usual_agreement: UsualAgreement::default(),
             beam_evidence: BeamEvidence::default(),
             interval: None,
-            looked: None,
+            cached_search: None,
             occlusion: Occlusion::default(),
             remembered: RememberedScans::default(),
         })
@@ -125,7 +125,7 @@ impl Tracker {
 
     /// Resets the statistics of scans and motions: those learned while the pose was lost are not valid in
     /// a new piece of map.
-    pub fn begin_anew(&mut self) {
+    pub fn restart(&mut self) {
         self.prediction_error = PredictionError::default();
         self.usual_score = UsualScore::default();
         self.beam_evidence = BeamEvidence::default();
@@ -152,7 +152,7 @@ impl Tracker {
     }
 
     /// Learns how the map agreed with an accepted scan.
-    pub fn note_agreement(&mut self, agreement: &ScanAgreement) {
+    pub fn record_agreement(&mut self, agreement: &ScanAgreement) {
         self.usual_agreement.add(agreement);
     }
 
@@ -209,11 +209,11 @@ impl Tracker {
 
     /// Best match of the scan around its prediction, in the window of recent errors of predictions of this
     /// kind. It does not update any statistics.
-    pub fn look(&mut self, prediction: Rigid2, motion: Motion, scan: Scan) -> Option<Rigid2> {
+    pub fn search_ahead(&mut self, prediction: Rigid2, motion: Motion, scan: Scan) -> Option<Rigid2> {
         let window = self.window(&motion, &prediction);
         let balanced = WeakDirection::of(scan.returns).map(|weak| weak.balanced(scan.returns));
         let found = self.search((&scan, balanced.as_ref().unwrap_or(scan.cloud)), prediction, window);
-        self.looked = Some(Looked { around: prediction, window, found });
+        self.cached_search = Some(CachedSearch { around: prediction, window, found });
         Some(found.pose).filter(Rigid2::is_finite)
     }
 
@@ -232,55 +232,55 @@ impl Tracker {
     }
 
     /// Discards the search result, since another scan is to be matched than the one that was searched.
-    pub fn forget_look(&mut self) {
-        self.looked = None;
+    pub fn discard_cached_search(&mut self) {
+        self.cached_search = None;
     }
 
     /// Matches the scan around its prediction, in the window of recent prediction errors. Where it fits
     /// the map worse than recent scans did, the window covers all that the scanner can have moved.
-    pub fn find(&mut self, told: Rigid2, motion: Motion, scan: Scan) -> Found {
+    pub fn find(&mut self, extrapolated: Rigid2, motion: Motion, scan: Scan) -> Found {
         // 1. Predict.
         let weak = WeakDirection::of(scan.returns);
-        let prediction = self.predicted(told, &motion, weak.as_ref());
+        let prediction = self.predicted(extrapolated, &motion, weak.as_ref());
         // 2. Search, and choose between the matches.
         let balanced = weak.as_ref().map(|weak| weak.balanced(scan.returns));
         let cloud = balanced.as_ref().unwrap_or(scan.cloud);
         let window = self.window(&motion, &prediction);
-        let near = self.search_hypotheses([prediction, told], motion, (&scan, cloud), window);
-        let is_failing = motion.is_measured() && near.basis == Basis::WentOn;
-        let told_motion = (motion.to(&prediction), motion.seconds);
+        let near = self.search_hypotheses([prediction, extrapolated], motion, (&scan, cloud), window);
+        let is_failing = motion.is_measured() && near.basis == Basis::ConstantVelocity;
+        let predicted_motion = (motion.to(&prediction), motion.seconds);
         let measured = if is_failing { Measured::Nothing } else { motion.measured };
         let motion = Motion { measured, ..motion };
         let (found, judgement) = self.judged(&near, motion, (&scan, cloud), window);
-        self.looked = None;
+        self.cached_search = None;
         let is_far = judgement == Judgement::Far;
         let has_caught_up = near.basis == Basis::CaughtUp;
-        self.catching_up.add(told_motion, near.around, is_far && motion.is_measured(), has_caught_up);
+        self.catching_up.add(predicted_motion, near.around, is_far && motion.is_measured(), has_caught_up);
         if let Some(score) = found.score {
             self.usual_score.add(score);
         }
         if !found.pose.is_finite() {
-            let left_open = LeftOpen::Everything;
+            let degeneracy = Degeneracy::Full;
             let overrules_odometry = false;
             return Found {
                 pose: prediction,
                 is_far: false,
                 overrules_odometry,
-                tells_place: false,
-                left_open,
+                measures_position: false,
+                degeneracy,
                 agreement: None,
             };
         }
         // 3. Weigh the match with the prediction.
-        let is_open = weak.is_some() || scan.witnesses.are_few();
+        let is_open = weak.is_some() || scan.independent_measurements.are_few();
         if !is_open {
             self.odometry_failure.add_pose(&found.pose);
         }
         // If the match is far off, the prediction was rejected.
         let weighed = weak.as_ref().filter(|_| !is_far);
-        let (pose, left_open) = match judgement {
+        let (pose, degeneracy) = match judgement {
             // So few beams do not confirm a prediction that they could not refute.
-            Judgement::Predicted if scan.witnesses.are_few() => (found.pose, LeftOpen::Everything),
+            Judgement::Predicted if scan.independent_measurements.are_few() => (found.pose, Degeneracy::Full),
             _ => self.weigh(found.pose, near.around, motion, &scan, weighed, is_failing || is_far),
         };
         // 4. Learn how odometry and beams agree with the pose. Degenerate scans do not measure the
@@ -292,7 +292,7 @@ impl Tracker {
         };
         self.odometry_failure.add_motion(&motion.to(&pose), motion.seconds, observability);
         if near.basis == Basis::Measured && !is_far && !is_open {
-            let measured = motion.to(&told);
+            let measured = motion.to(&extrapolated);
             let sigma = self.prediction_error.sigmas(&measured).translation;
             let moved = motion.of_tracking(&motion.to(&found.pose));
             self.odometry_scale.add(&motion.of_tracking(&measured), &moved, sigma);
@@ -301,8 +301,8 @@ impl Tracker {
         if let Some(agreement) = &agreement {
             self.beam_evidence.add(agreement);
         }
-        let tells_place = !is_open || motion.is_measured();
-        Found { pose, is_far, overrules_odometry: is_failing, tells_place, left_open, agreement }
+        let measures_position = !is_open || motion.is_measured();
+        Found { pose, is_far, overrules_odometry: is_failing, measures_position, degeneracy, agreement }
     }
 
     /// Ratio of the distance by odometry to that by scans, if it is corrected.
@@ -310,26 +310,27 @@ impl Tracker {
         self.odometry_scale.factor()
     }
 
-    /// Pose of the scan without odometry, if odometry, which gives `told`, more likely fails than works.
-    pub fn suspected(&self, told: Rigid2, motion: Motion) -> Option<Rigid2> {
-        self.odometry_failure.suspected(motion, &self.prior(self.predicted(told, &motion, None), motion))
+    /// Pose of the scan without odometry, if odometry, which gives `extrapolated`, probably fails.
+    pub fn suspected(&self, extrapolated: Rigid2, motion: Motion) -> Option<Rigid2> {
+        self.odometry_failure
+            .suspected(motion, &self.prior(self.predicted(extrapolated, &motion, None), motion))
     }
 
     /// Pose of the scan by odometry that measured the motion.
-    pub fn told_by_odometry(&self, told: Rigid2, motion: &Motion) -> Rigid2 {
-        self.predicted(told, motion, None)
+    pub fn pose_by_odometry(&self, extrapolated: Rigid2, motion: &Motion) -> Rigid2 {
+        self.predicted(extrapolated, motion, None)
     }
 
-    /// Predicted pose of the scan; `told` is the pose by odometry, or else by constant velocity.
-    fn predicted(&self, told: Rigid2, motion: &Motion, weak: Option<&WeakDirection>) -> Rigid2 {
+    /// Predicted pose of the scan; `extrapolated` is the pose by odometry, or else by constant velocity.
+    fn predicted(&self, extrapolated: Rigid2, motion: &Motion, weak: Option<&WeakDirection>) -> Rigid2 {
         let prediction = match motion.measured {
             Measured::Whole => {
-                let measured = motion.of_tracking(&motion.to(&told));
+                let measured = motion.of_tracking(&motion.to(&extrapolated));
                 motion.last * motion.of_aligned(&self.odometry_scale.corrected(&measured))
             }
-            Measured::Rotation if motion.is_unknown() => Rigid2 { angle: told.angle, ..motion.last },
+            Measured::Rotation if motion.is_unknown() => Rigid2 { angle: extrapolated.angle, ..motion.last },
             Measured::Nothing if motion.is_unknown() => motion.last,
-            Measured::Rotation | Measured::Nothing => told,
+            Measured::Rotation | Measured::Nothing => extrapolated,
         };
         // Readings far apart do not measure rotations and stops between them, but do measure the distance
         // along a corridor.
@@ -345,8 +346,10 @@ impl Tracker {
         around: Rigid2,
         window: SearchWindow,
     ) -> ScanMatch2d {
-        if let Some(looked) = self.looked.as_ref().filter(|l| l.around == around && l.window == window) {
-            return looked.found;
+        if let Some(cached_search) =
+            self.cached_search.as_ref().filter(|l| l.around == around && l.window == window)
+        {
+            return cached_search.found;
         }
         let find = || self.matcher.match_scan(around, cloud, scan.returns, Some(scan.submap), Some(window));
         self.remembered.answer((around, window), find)
@@ -376,28 +379,28 @@ impl Tracker {
         scan: &Scan,
         weak: Option<&WeakDirection>,
         is_failing: bool,
-    ) -> (Rigid2, LeftOpen) {
+    ) -> (Rigid2, Degeneracy) {
         let predicted_motion = motion.to(&around);
-        if scan.witnesses.are_next_to_none() && !is_failing {
+        if scan.independent_measurements.are_very_few() && !is_failing {
             return self.weigh_few(found, around, motion, scan);
         }
-        let (mut pose, mut observed, mut left_open) = (found, found, LeftOpen::Nothing);
+        let (mut pose, mut observed, mut degeneracy) = (found, found, Degeneracy::None);
         if let Some(weak) = weak {
             let learned = self.prediction_error.sigmas(&predicted_motion).translation;
-            let is_told = motion.is_measured() || motion.between_readings.is_some();
-            let unmeasured = if is_told { 0.0 } else { ACCELERATION * motion.seconds.powi(2) };
+            let is_measured = motion.is_measured() || motion.between_readings.is_some();
+            let unmeasured = if is_measured { 0.0 } else { ACCELERATION * motion.seconds.powi(2) };
             let gain =
                 weak.gain(&scan.submap.grid, scan.returns, (&around, &found), learned.hypot(unmeasured));
             pose = weak.with_share(&around, &found, gain);
             observed = weak.with_share(&around, &found, 0.0);
-            if !weak.is_told(scan, &pose, TOLD_WITHIN.linear) {
-                left_open = LeftOpen::Along(weak.in_scan());
+            if !weak.is_constrained(scan, &pose, CONSTRAINED_WITHIN.linear) {
+                degeneracy = Degeneracy::Direction(weak.in_scan());
             }
         }
         if motion.seconds <= self.gap && !is_failing {
             self.prediction_error.add(&predicted_motion, &(around.inverse() * observed));
         }
-        (pose, left_open)
+        (pose, degeneracy)
     }
 
     /// Weighs a match of hardly any beams with the prediction. It updates the errors of predictions only
@@ -408,18 +411,18 @@ impl Tracker {
         around: Rigid2,
         motion: Motion,
         scan: &Scan,
-    ) -> (Rigid2, LeftOpen) {
+    ) -> (Rigid2, Degeneracy) {
         let share = scan.match_share(&self.prior(around, motion), &found);
         if motion.seconds <= self.gap && share > MOSTLY {
             self.prediction_error.add(&motion.to(&around), &(around.inverse() * found));
         }
         let pose = with_share(&around, &found, share);
-        let SearchWindow { linear, angular } = TOLD_WITHIN;
+        let SearchWindow { linear, angular } = CONSTRAINED_WITHIN;
         let offsets =
             [Rigid2::new(linear, 0.0, 0.0), Rigid2::new(0.0, linear, 0.0), Rigid2::new(0.0, 0.0, angular)];
         let weights = vec![1.0; scan.returns.points.len()];
-        let is_told = offsets.iter().all(|offset| scan.tells(&pose, *offset, &weights));
-        (pose, if is_told { LeftOpen::Nothing } else { LeftOpen::Everything })
+        let is_constrained = offsets.iter().all(|offset| scan.distinguishes(&pose, *offset, &weights));
+        (pose, if is_constrained { Degeneracy::None } else { Degeneracy::Full })
     }
 
     /// Search window of recent errors of predictions of such a motion. Where the motion was unmeasured, it

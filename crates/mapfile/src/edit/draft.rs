@@ -249,7 +249,7 @@ impl MapDraft {
     /// If reading or writing fails, or no trajectory is left.
     pub fn write(mut self, output: impl AsRef<Path>) -> Result<EditReport, EditError> {
         if self.graph.trajectory.is_empty() {
-            return Err(EditError::Nothing);
+            return Err(EditError::Empty);
         }
         let output = output.as_ref();
         let failed = EditError::Output;

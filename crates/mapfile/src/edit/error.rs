@@ -60,7 +60,7 @@ pub enum EditError {
     },
     /// Nothing would be left.
     #[error("nothing would be left of the map")]
-    Nothing,
+    Empty,
     /// A 2D map together with a 3D map, or a 2D map moved out of its plane.
     #[error("{0}")]
     Dimension(&'static str),

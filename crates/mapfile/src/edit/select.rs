@@ -165,11 +165,11 @@ impl MapDraft {
         for trajectory in &self.graph.trajectory {
             for submap in &trajectory.submap {
                 let id = (trajectory.trajectory_id, submap.submap_index);
-                let stays = match counts.get(&id) {
+                let is_kept = match counts.get(&id) {
                     Some((kept, all)) => *kept > 0 && 2 * kept >= *all,
                     None => pose_from_proto(submap.pose.as_ref()).is_some_and(|pose| keep_empty(&pose)),
                 };
-                if stays {
+                if is_kept {
                     submaps.insert(id);
                 }
             }
@@ -183,7 +183,7 @@ impl MapDraft {
         nodes: &BTreeSet<IdInFile>,
     ) -> Result<(), EditError> {
         if nodes.is_empty() && submaps.is_empty() {
-            return Err(EditError::Nothing);
+            return Err(EditError::Empty);
         }
         for trajectory in &mut self.graph.trajectory {
             let t = trajectory.trajectory_id;

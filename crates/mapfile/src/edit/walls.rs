@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_has_no_walls() {
+    fn an_empty_map_has_no_walls() {
         assert_eq!(find_walls(&[]), None);
     }
 }

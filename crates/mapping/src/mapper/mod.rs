@@ -222,7 +222,7 @@ impl<S: Space> Mapper<S> {
     ///
     /// # Errors
     /// If the pose graph has stopped because of an internal fault.
-    pub fn tell_pose_graph(
+    pub fn enqueue_pose_graph_work(
         &mut self,
         work: impl FnOnce(&mut PoseGraph<S>) + Send + 'static,
     ) -> Result<(), MapperError> {
@@ -237,7 +237,7 @@ impl<S: Space> Mapper<S> {
     /// Finishes with the map as it is: from now on nothing is searched any more, and the map is optimised
     /// only once, at the end.
     pub fn stop(&self) {
-        self.stop.ask();
+        self.stop.request();
     }
 
     /// Ends all trajectories, runs the final optimisation, and returns the map.
@@ -248,15 +248,15 @@ impl<S: Space> Mapper<S> {
         self.finish_while(&mut |_| true)
     }
 
-    /// As [`Self::finish`]; `goes_on` receives the progress now and then; if it returns false, the effect is
-    /// that of [`Self::stop`].
+    /// As [`Self::finish`]; `continues` receives the progress now and then; if it returns false, the effect
+    /// is that of [`Self::stop`].
     ///
     /// # Errors
     /// As for [`Self::finish`].
     pub fn finish_while(
         self,
-        goes_on: &mut dyn FnMut(BackendProgress) -> bool,
+        continues: &mut dyn FnMut(BackendProgress) -> bool,
     ) -> Result<(Map<S>, IssueLog), MapperError> {
-        (S::mapper_work().finish_while)(self, goes_on)
+        (S::mapper_work().finish_while)(self, continues)
     }
 }

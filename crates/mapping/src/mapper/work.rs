@@ -251,9 +251,9 @@ impl<S: Space> Mapper<S> {
         (trajectory.last_node, trajectory.next_node) = (None, 0);
         self.ended.insert(before, ended);
         let remaining = lost.remaining.clone();
-        let (since, ended_from_begun, bridge) = (lost.since, lost.ended_from_begun, lost.bridge);
+        let (since, old_from_new, bridge) = (lost.since, lost.old_from_new, lost.bridge);
         self.backend.enqueue(move |graph| {
-            graph.begin_piece(before, remaining, piece, &ended_from_begun, bridge);
+            graph.begin_piece(before, remaining, piece, &old_from_new, bridge);
             graph.copy_measurements(before, piece, since);
         })
     }
@@ -300,7 +300,7 @@ impl<S: Space> Mapper<S> {
 
     fn finish_while_here(
         mut self,
-        goes_on: &mut dyn FnMut(BackendProgress) -> bool,
+        continues: &mut dyn FnMut(BackendProgress) -> bool,
     ) -> Result<(Map<S>, IssueLog), MapperError> {
         let active: Vec<TrajectoryId> = self.active.keys().copied().collect();
         for id in active {
@@ -308,8 +308,8 @@ impl<S: Space> Mapper<S> {
         }
         let (issues, stop) = (self.issues_here(), self.stop.clone());
         let graph = self.backend.finish(PoseGraph::run_final_optimization, &mut |progress| {
-            if !stop.is_asked() && !goes_on(progress) {
-                stop.ask();
+            if !stop.is_requested() && !continues(progress) {
+                stop.request();
             }
         })?;
         Ok((Map::new(self.options, graph, self.ended), issues))

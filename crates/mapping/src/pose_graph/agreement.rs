@@ -34,7 +34,7 @@ const MOST_UNSUPPORTED: usize = 500;
 
 /// Maximum path length over which the position along a corridor is known from other constraints, metres. Over
 /// such a path it is known to some metres, and no other corridor is so near.
-const SHORT_WAY: f64 = 50.0;
+const SHORT_PATH: f64 = 50.0;
 
 /// Cosine of the angle between degenerate directions that count as the same. Matches with different
 /// degenerate directions are not comparable.
@@ -54,9 +54,9 @@ struct WaitingMatch {
     /// Rotates directions from that frame to the frame of the node.
     node_from_earlier: Quaternion,
     /// Whether odometry measured the motion between the parts, and agrees with the match.
-    is_where_odometry_says: bool,
+    agrees_with_odometry: bool,
     /// Distance of its node along its trajectory, metres.
-    way: f64,
+    path_length: f64,
 }
 
 impl WaitingMatch {
@@ -75,7 +75,7 @@ impl WaitingMatch {
             at.x,
             at.y,
             at.z,
-            if self.is_where_odometry_says { ", as odometry" } else { "" },
+            if self.agrees_with_odometry { ", as odometry" } else { "" },
         );
     }
 }
@@ -134,9 +134,9 @@ impl<S: Space> PoseGraph<S> {
     /// number accepted.
     pub(super) fn take_supported(&mut self) -> usize {
         let waiting = std::mem::take(&mut self.waiting.unsupported);
-        let travel = TravelGraph::new(&self.state, &self.ways);
+        let travel = TravelGraph::new(&self.state, &self.path_lengths);
         let is_placed =
-            |c: &Constraint| c.open.is_none() || travel.is_tied((c.submap_id, c.node_id), SHORT_WAY);
+            |c: &Constraint| c.open.is_none() || travel.is_tied((c.submap_id, c.node_id), SHORT_PATH);
         let within_part = |c: &Constraint| self.is_within_part(c).then(|| self.bending_match(c)).flatten();
         let matches: Vec<Option<WaitingMatch>> = waiting.iter().map(within_part).collect();
         let fits = |c: &Constraint| self.fits(c) && is_placed(c);
@@ -191,8 +191,8 @@ impl<S: Space> PoseGraph<S> {
             place_in_later,
             open: None,
             node_from_earlier: Quaternion::identity(),
-            is_where_odometry_says: false,
-            way: self.ways.get(&constraint.node_id).copied().unwrap_or(0.0),
+            agrees_with_odometry: false,
+            path_length: self.path_lengths.get(&constraint.node_id).copied().unwrap_or(0.0),
         })
     }
 
@@ -206,13 +206,13 @@ impl<S: Space> PoseGraph<S> {
     /// place that looks alike. The others are shifted along their degenerate direction to where the map has
     /// the node. Returns whether any became a full constraint.
     pub(super) fn settle_open_loop_closures(&mut self) -> bool {
-        let travel = TravelGraph::new(&self.state, &self.ways);
+        let travel = TravelGraph::new(&self.state, &self.path_lengths);
         let mut constraints = std::mem::take(&mut self.state.constraints);
         let mut is_any = false;
         for constraint in &mut constraints {
             let (Some(open), Some(error)) = (constraint.open, self.error_of(constraint)) else { continue };
             let along = open.direction.dot(&error.translation.vector);
-            let is_tied = travel.is_tied((constraint.submap_id, constraint.node_id), SHORT_WAY);
+            let is_tied = travel.is_tied((constraint.submap_id, constraint.node_id), SHORT_PATH);
             if along.abs() <= MAX_TRANSLATION && is_tied {
                 constraint.open = None;
                 is_any = true;
@@ -235,9 +235,9 @@ impl<S: Space> PoseGraph<S> {
         waiting.log();
         let waiting_here = self.waiting.by_parts.entry(parts).or_default();
         waiting_here.push(waiting);
-        let mut likely: Vec<_> = waiting_here.iter().filter(|m| m.is_where_odometry_says).cloned().collect();
+        let mut likely: Vec<_> = waiting_here.iter().filter(|m| m.agrees_with_odometry).cloned().collect();
         let (needed, loops) = (self.policy.min_agreeing, self.policy.loops);
-        let agreed = agreed(&mut likely, needed, |way| loops.drift_over(way))
+        let agreed = agreed(&mut likely, needed, |path_length| loops.drift_over(path_length))
             .or_else(|| agreed(waiting_here, needed, |_| NO_DRIFT));
         if let Some(agreed) = agreed {
             self.waiting.by_parts.remove(&parts);
@@ -251,8 +251,8 @@ impl<S: Space> PoseGraph<S> {
         let node_part = part(constraint.node_id.trajectory_id);
         let parts = (submap_part.min(node_part), submap_part.max(node_part));
         let waiting = self.as_waiting(constraint, submap_part < node_part)?;
-        let is_where_odometry_says = self.is_where_odometry_says(constraint);
-        Some((parts, WaitingMatch { is_where_odometry_says, ..waiting }))
+        let agrees_with_odometry = self.agrees_with_odometry(constraint);
+        Some((parts, WaitingMatch { agrees_with_odometry, ..waiting }))
     }
 
     /// Moves one part to its pose in the other part that the matches imply, and adds the matches as
@@ -320,7 +320,8 @@ fn agreed(
     if nodes < needed {
         return None;
     }
-    let contradicts = |m: &&WaitingMatch| !agree_within(m, &newest, drift((m.way - newest.way).abs()));
+    let contradicts =
+        |m: &&WaitingMatch| !agree_within(m, &newest, drift((m.path_length - newest.path_length).abs()));
     let others = waiting.iter().filter(contradicts).map(|m| support(m).1).fold(0.0, f64::max);
     if own < LEAD * others {
         return None;
@@ -339,8 +340,8 @@ fn supported<'a>(
 ) -> Option<Constraint> {
     let agreeing: Vec<&WaitingMatch> = waiting.filter(|m| agree(m, of)).collect();
     let nodes = |leaves_open: &dyn Fn(&WaitingMatch) -> bool| {
-        let telling = agreeing.iter().filter(|m| !leaves_open(m));
-        telling.map(|m| m.constraint.node_id).collect::<BTreeSet<NodeId>>().len()
+        let constrained = agreeing.iter().filter(|m| !leaves_open(m));
+        constrained.map(|m| m.constraint.node_id).collect::<BTreeSet<NodeId>>().len()
     };
     if nodes(&|_| false) < needed {
         return None;
@@ -400,13 +401,13 @@ mod tests {
             place_in_later: Vector3::zeros(),
             open: None,
             node_from_earlier: Quaternion::identity(),
-            is_where_odometry_says: false,
-            way: 0.0,
+            agrees_with_odometry: false,
+            path_length: 0.0,
         }
     }
 
     #[test]
-    fn places_that_differ_are_not_believed() {
+    fn places_that_differ_are_not_accepted() {
         let mut waiting: Vec<WaitingMatch> = (0..6).map(|i| at(i, 3.0 * f64::from(i), 0.0)).collect();
         assert!(agreed(&mut waiting, 3, |_| NO_DRIFT).is_none());
         waiting.extend([at(7, 40.0, 0.5), at(8, 40.2, -0.5), at(9, 40.1, 0.5)]);
@@ -430,7 +431,7 @@ mod tests {
     }
 
     #[test]
-    fn three_that_agree_are_taken_and_the_rest_is_forgotten() {
+    fn three_agreeing_matches_are_accepted_and_the_others_dropped() {
         let mut waiting = vec![at(0, 1.0, 0.0), at(1, 50.0, 0.0), at(2, 1.2, 0.02), at(3, 0.9, -0.03)];
         let taken: Vec<u32> = agreed(&mut waiting, 3, |_| NO_DRIFT)
             .unwrap()
@@ -442,7 +443,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_open_does_not_contradict() {
+    fn degenerate_directions_do_not_contradict() {
         let along =
             |direction: Vector3| WaitingMatch { open: Some(OpenShift { direction }), ..at(0, 1.0, 0.0) };
         assert!(agree(&along(Vector3::x()), &at(1, 6.0, 0.0)));
@@ -452,7 +453,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_open_supports_across_alone() {
+    fn degenerate_matches_support_only_constrained_directions() {
         let along = |node, direction: Vector3| WaitingMatch {
             open: Some(OpenShift { direction }),
             ..at(node, 0.0, 0.0)
@@ -462,10 +463,10 @@ mod tests {
         assert_eq!(of(&full[..2]), None);
         assert_eq!(of(&full), Some(None));
         let [x, y] = [Vector3::x(), Vector3::y()];
-        let one_way = [at(0, 0.1, 0.0), along(1, x), along(2, x)];
-        assert_eq!(of(&one_way), Some(Some(OpenShift { direction: x })));
-        let both_ways = [at(0, 0.1, 0.0), along(1, x), along(2, x), along(3, y), along(4, y)];
-        assert_eq!(of(&both_ways), Some(None));
+        let one_direction = [at(0, 0.1, 0.0), along(1, x), along(2, x)];
+        assert_eq!(of(&one_direction), Some(Some(OpenShift { direction: x })));
+        let both_directions = [at(0, 0.1, 0.0), along(1, x), along(2, x), along(3, y), along(4, y)];
+        assert_eq!(of(&both_directions), Some(None));
     }
 
     #[test]
@@ -475,7 +476,7 @@ mod tests {
     }
 
     #[test]
-    fn two_places_that_look_alike_wait_for_more() {
+    fn ambiguous_places_need_more_matches() {
         let mut waiting =
             vec![at(0, 9.0, 0.0), at(1, 9.0, 0.0), at(2, 1.0, 0.0), at(3, 1.0, 0.0), at(5, 1.0, 0.0)];
         assert!(agreed(&mut waiting, 3, |_| NO_DRIFT).is_none());

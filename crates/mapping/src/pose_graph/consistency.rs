@@ -127,13 +127,13 @@ impl<S: Space> PoseGraph<S> {
             if !is_judged(id.trajectory_id) {
                 return false;
             }
-            let way = self.ways.get(id).copied().unwrap_or(0.0);
-            spacing.is_due((SubmapId::new(id.trajectory_id, 0), *id), way, SPACING)
+            let path_length = self.path_lengths.get(id).copied().unwrap_or(0.0);
+            spacing.is_due((SubmapId::new(id.trajectory_id, 0), *id), path_length, SPACING)
         });
-        let goes_on = || !self.stop.is_asked();
-        let judged = nodes.par_iter().filter(|_| goes_on()).map(|id| self.judge(*id, &is_compared));
+        let continues = || !self.stop.is_requested();
+        let judged = nodes.par_iter().filter(|_| continues()).map(|id| self.judge(*id, &is_compared));
         let judged: Vec<Option<Verdict>> = judged.collect();
-        if self.stop.is_asked() {
+        if self.stop.is_requested() {
             return Consistency::default();
         }
         Consistency::of(&judged)
@@ -147,10 +147,10 @@ impl<S: Space> PoseGraph<S> {
         let acceptance = self.acceptance_of_known_place();
         let (mut known, mut confirming, mut contradicting) = (0, 0, Vec::new());
         for (submap_id, entry) in &self.state.submaps {
-            let is_asked =
+            let is_requested =
                 !entry.node_ids.contains(&id) && is_compared(submap_id.trajectory_id, id.trajectory_id);
             let (true, Some(submap), Some(map_from_submap)) =
-                (is_asked, entry.submap.as_deref(), self.problem.submaps.get(submap_id))
+                (is_requested, entry.submap.as_deref(), self.problem.submaps.get(submap_id))
             else {
                 continue;
             };
@@ -224,12 +224,12 @@ mod tests {
     use crate::made_rooms::{node, submap};
 
     #[test]
-    fn a_scan_of_one_room_contradicts_another_that_lies_over_it() {
+    fn a_scan_of_one_room_contradicts_another_room_at_the_same_place() {
         let (large, small) = ((9.0, 7.0), (6.0, 5.0));
         let agreement =
             |of, at, pose: &Rigid3| Space2d::agreement(&submap(of), &node(large, at), pose).unwrap();
-        let seen_there = agreement(large, (1.0, -0.5), &Rigid3::translation(1.0, -0.5, 0.0));
-        assert!(seen_there.explained > 0.9 && !refutes_place(&seen_there), "{seen_there:?}");
+        let at_true_pose = agreement(large, (1.0, -0.5), &Rigid3::translation(1.0, -0.5, 0.0));
+        assert!(at_true_pose.explained > 0.9 && !refutes_place(&at_true_pose), "{at_true_pose:?}");
         let elsewhere = agreement(small, (0.0, 0.0), &Rigid3::identity());
         assert!(refutes_place(&elsewhere), "{elsewhere:?}");
         let outside = Rigid3::translation(7.0, 0.0, 0.0);
@@ -237,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn a_few_contradicted_places_are_no_torn_map() {
+    fn a_few_contradicted_places_do_not_make_a_map_contradictory() {
         let is_contradictory = |places, contradicted| {
             Consistency { places, contradicted, longest_row: 1, ..Consistency::default() }.is_contradictory()
         };
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn a_place_is_confirmed_by_most_of_what_is_known_of_it() {
+    fn a_part_is_confirmed_by_most_of_its_known_places() {
         let of =
             |places, unknown, confirmed| Consistency { places, unknown, confirmed, ..Consistency::default() };
         assert!(of(25, 0, 13).is_confirmed() && of(5, 40, 4).is_confirmed() && of(2, 0, 2).is_confirmed());
@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn a_few_contradicted_places_in_a_row_are_one() {
+    fn a_short_row_of_contradicted_places_is_not_contradictory() {
         let of = |row: usize| {
             let [yes, no] = [Verdict::Contradicted, Verdict::Undecided].map(Some);
             let fits = vec![Some(Verdict::Confirmed); 10];

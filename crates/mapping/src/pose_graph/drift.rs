@@ -6,7 +6,7 @@
 //! closures.
 
 use super::PoseGraph;
-use super::shortest_ways::shortest_ways;
+use super::shortest_paths::shortest_paths;
 use crate::{Constraint, NodeId, Space, of_trajectory};
 
 /// Standard deviation of the most uncertain place relative to the first place that it is tied to, from the
@@ -37,20 +37,20 @@ impl<S: Space> PoseGraph<S> {
     }
 
     pub(super) fn judge_drift(&self) -> Drift {
-        let ways = self.ways_of_drift();
-        Drift { translation: ways.farthest(|e| e.translation), rotation: ways.farthest(|e| e.rotation) }
+        let graph = self.drift_graph();
+        Drift { translation: graph.farthest(|e| e.translation), rotation: graph.farthest(|e| e.rotation) }
     }
 
-    fn ways_of_drift(&self) -> Ways {
+    fn drift_graph(&self) -> DriftGraph {
         let ids: Vec<NodeId> = self.state.nodes.keys().copied().collect();
         let gathered = |id: &NodeId| self.gathered.get(id).copied().unwrap_or_default();
-        let mut ways = Ways::new(ids.len());
+        let mut graph = DriftGraph::new(ids.len());
         for (i, pair) in ids.windows(2).enumerate() {
             let [a, b] = pair else { continue };
             if a.trajectory_id == b.trajectory_id {
                 let (from, to) = (gathered(a), gathered(b));
                 let since = |to: f64, from: f64| (to - from).max(0.0);
-                ways.add(
+                graph.add(
                     i,
                     i + 1,
                     since(to.translation, from.translation),
@@ -63,11 +63,11 @@ impl<S: Space> PoseGraph<S> {
             let Some(gap) = entry.after_gap else { continue };
             let last = of_trajectory(&self.state.nodes, gap.before).next_back();
             let first = of_trajectory(&self.state.nodes, *id).next();
-            let is_believed = !gap.bridge.is_contradicted || self.has_odometry_tie(*id);
-            if let Some(((last, _), (first, _))) = last.zip(first).filter(|_| is_believed)
+            let is_trusted = !gap.bridge.is_contradicted || self.has_odometry_tie(*id);
+            if let Some(((last, _), (first, _))) = last.zip(first).filter(|_| is_trusted)
                 && let Some((a, b)) = index_of(&last).zip(index_of(&first))
             {
-                ways.add(a, b, gap.bridge.translation.powi(2), gap.bridge.rotation.powi(2));
+                graph.add(a, b, gap.bridge.translation.powi(2), gap.bridge.rotation.powi(2));
             }
         }
         for constraint in self.state.constraints.iter().filter(|c| c.is_loop_closure()) {
@@ -75,10 +75,10 @@ impl<S: Space> PoseGraph<S> {
             if let Some((a, b)) = nearest.and_then(|id| index_of(&id)).zip(index_of(&constraint.node_id)) {
                 // One with a degenerate direction constrains headings, but not positions.
                 let translation = if constraint.open.is_some() { f64::INFINITY } else { 0.0 };
-                ways.add(a, b, translation, 0.0);
+                graph.add(a, b, translation, 0.0);
             }
         }
-        ways
+        graph
     }
 
     fn is_tie_over_gap(&self, constraint: &Constraint) -> bool {
@@ -104,7 +104,7 @@ impl<S: Space> PoseGraph<S> {
 
 /// Variances of the relative pose of two nodes.
 #[derive(Clone, Copy, Debug)]
-struct Way {
+struct Edge {
     to: usize,
     /// Metres².
     translation: f64,
@@ -113,34 +113,35 @@ struct Way {
 }
 
 /// Graph of paths between nodes, which are numbered from zero.
-struct Ways {
-    from: Vec<Vec<Way>>,
+struct DriftGraph {
+    from: Vec<Vec<Edge>>,
 }
 
-impl Ways {
+impl DriftGraph {
     fn new(nodes: usize) -> Self {
         Self { from: vec![Vec::new(); nodes] }
     }
 
     fn add(&mut self, a: usize, b: usize, translation: f64, rotation: f64) {
         for (from, to) in [(a, b), (b, a)] {
-            if let Some(ways) = self.from.get_mut(from) {
-                ways.push(Way { to, translation, rotation });
+            if let Some(edges) = self.from.get_mut(from) {
+                edges.push(Edge { to, translation, rotation });
             }
         }
     }
 
     /// Largest standard deviation of a node relative to the first node that it is tied to, over the paths
     /// with the least variance.
-    fn farthest(&self, variance: impl Fn(&Way) -> f64) -> f64 {
+    fn farthest(&self, variance: impl Fn(&Edge) -> f64) -> f64 {
         let mut is_reached = vec![false; self.from.len()];
         let mut farthest: f64 = 0.0;
         for start in 0..self.from.len() {
             if is_reached.get(start) == Some(&true) {
                 continue;
             }
-            let ways = |at: usize| self.from.get(at).into_iter().flatten().map(|way| (way.to, variance(way)));
-            for (at, variance) in shortest_ways(start, f64::MAX, ways) {
+            let edges =
+                |at: usize| self.from.get(at).into_iter().flatten().map(|edge| (edge.to, variance(edge)));
+            for (at, variance) in shortest_paths(start, f64::MAX, edges) {
                 farthest = farthest.max(variance);
                 is_reached.get_mut(at).into_iter().for_each(|reached| *reached = true);
             }
@@ -154,18 +155,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn loop_closures_take_away_what_gathered() {
-        let mut ways = Ways::new(6);
+    fn loop_closures_reduce_drift() {
+        let mut graph = DriftGraph::new(6);
         for i in 0..4 {
-            ways.add(i, i + 1, 0.04, 0.0001);
+            graph.add(i, i + 1, 0.04, 0.0001);
         }
-        let metres = |ways: &Ways| ways.farthest(|way| way.translation);
-        let radians = |ways: &Ways| ways.farthest(|way| way.rotation);
-        assert!((metres(&ways) - 0.4).abs() < 1e-12 && (radians(&ways) - 0.02).abs() < 1e-12);
-        ways.add(0, 4, f64::INFINITY, 0.0);
-        assert!((metres(&ways) - 0.4).abs() < 1e-12, "such a loop closure tells no place");
-        assert!((radians(&ways) - 0.0002_f64.sqrt()).abs() < 1e-12);
-        ways.add(0, 4, 0.0, 0.0);
-        assert!((metres(&ways) - 0.08_f64.sqrt()).abs() < 1e-12);
+        let metres = |graph: &DriftGraph| graph.farthest(|edge| edge.translation);
+        let radians = |graph: &DriftGraph| graph.farthest(|edge| edge.rotation);
+        assert!((metres(&graph) - 0.4).abs() < 1e-12 && (radians(&graph) - 0.02).abs() < 1e-12);
+        graph.add(0, 4, f64::INFINITY, 0.0);
+        assert!((metres(&graph) - 0.4).abs() < 1e-12, "such a loop closure does not constrain the position");
+        assert!((radians(&graph) - 0.0002_f64.sqrt()).abs() < 1e-12);
+        graph.add(0, 4, 0.0, 0.0);
+        assert!((metres(&graph) - 0.08_f64.sqrt()).abs() < 1e-12);
     }
 }

@@ -52,13 +52,13 @@ impl<S: Space> PoseGraph<S> {
         ended: TrajectoryId,
         remaining: Vec<InsertionSubmap<S>>,
         piece: TrajectoryId,
-        ended_from_begun: &Rigid3,
+        old_from_new: &Rigid3,
         bridge: Option<OdometryBridge>,
     ) {
         self.complete(ended, remaining);
-        let map_from_local = self.state.map_from_local(ended) * ended_from_begun;
+        let map_from_local = self.state.map_from_local(ended) * old_from_new;
         let drift = self.policy.loops.drift;
-        let gap = bridge.map(|bridge| Gap { before: ended, bridge, way: bridge.translation / drift });
+        let gap = bridge.map(|bridge| Gap { before: ended, bridge, path_length: bridge.translation / drift });
         let entry = self.state.trajectory_mut(piece);
         entry.map_from_local_before_optimization = Some(map_from_local);
         entry.after_gap = gap;

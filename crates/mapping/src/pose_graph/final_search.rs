@@ -25,7 +25,7 @@ const MOST_ROUNDS: usize = 3;
 const SHARE_OF_SEARCHES: f64 = 0.1;
 /// Minimum path length between places that are searched again, metres: over less, more loop closures add
 /// little.
-const LONG_WAY: f64 = 50.0;
+const LONG_PATH: f64 = 50.0;
 /// Factor on the minimum explained fraction of a scan at a known place in 2D. A scan taken in the other
 /// direction sees sides of things that the submap does not know, which is no contradiction. A loop closure
 /// that would bend the map still needs three nodes that agree.
@@ -36,7 +36,7 @@ impl<S: Space> PoseGraph<S> {
     /// `min_searches` of the policy is reached.
     pub(super) fn search_more(&mut self) {
         let missing = self.policy.min_searches.saturating_sub(self.search.counts().window_searched);
-        if missing > 0 && !self.stop.is_asked() {
+        if missing > 0 && !self.stop.is_requested() {
             self.schedule(self.untied_pairs(), missing as f64);
         }
     }
@@ -49,10 +49,10 @@ impl<S: Space> PoseGraph<S> {
         }
         let most = SHARE_OF_SEARCHES * self.search.counts().window_searched as f64;
         for _ in 0..MOST_ROUNDS {
-            if self.stop.is_asked() {
+            if self.stop.is_requested() {
                 return;
             }
-            let travel = TravelGraph::new(&self.state, &self.ways);
+            let travel = TravelGraph::new(&self.state, &self.path_lengths);
             let loops = self.loop_search();
             self.search
                 .set_policy(LoopSearchPolicy { acceptance: self.acceptance_of_known_place(), ..loops });
@@ -87,9 +87,9 @@ impl<S: Space> PoseGraph<S> {
                 (spacing, lengths) = (Spacing::default(), travel.lengths_from(submap_id));
             }
             let length = travel.submap_of(node_id).and_then(|of_node| lengths.of_place(of_node));
-            let way = self.ways.get(&node_id).copied().unwrap_or(0.0);
-            length.is_some_and(|length| length >= LONG_WAY)
-                && spacing.is_due(*pair, way, self.policy.loops.spacing)
+            let path_length = self.path_lengths.get(&node_id).copied().unwrap_or(0.0);
+            length.is_some_and(|length| length >= LONG_PATH)
+                && spacing.is_due(*pair, path_length, self.policy.loops.spacing)
         });
         pairs
     }

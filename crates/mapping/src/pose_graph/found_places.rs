@@ -60,9 +60,9 @@ impl<S: Space> PoseGraph<S> {
         let (node_id, part) = (*node_id, node_id.trajectory_id);
         let known = self.tracked.trajectories();
         let is_tied = known.iter().any(|id| self.state.connectivity.are_connected(part, *id));
-        let way = self.ways.get(&node_id).copied().unwrap_or(0.0);
+        let path_length = self.path_lengths.get(&node_id).copied().unwrap_or(0.0);
         let spacing = self.spacing_of_searches();
-        if is_tied || !self.tracked.last.is_due(part, way, spacing) {
+        if is_tied || !self.tracked.last.is_due(part, path_length, spacing) {
             return;
         }
         let Some(tie) = self.tie_of(node_id, place, &self.nearest_known()) else { return };
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_found_is_looked_for_there() {
+    fn nodes_are_searched_at_their_localised_poses() {
         let (mut graph, [known, new]) = known_and_new();
         let map_from_tracking = Rigid3::translation(0.5, 0.2, 0.0);
         let at = |seconds| FoundPlace { time: Time::from_unix_seconds(seconds), map_from_tracking };
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_found_is_put_there_and_tied() {
+    fn localised_nodes_are_placed_and_connected() {
         let (mut graph, [known, new]) = known_and_new();
         assert!(!graph.state.connectivity.are_connected(known, new));
         let map_from_tracking = Rigid3::translation(2.0, -1.0, 0.0);

@@ -53,7 +53,7 @@ impl<S: Space> PoseGraph<S> {
 
     /// Whether a match agrees with odometry for a part of the map that continues after scans had contradicted
     /// the map: within the errors of odometry and of the paths to the matched node and submap.
-    pub(super) fn is_where_odometry_says(&self, constraint: &Constraint) -> bool {
+    pub(super) fn agrees_with_odometry(&self, constraint: &Constraint) -> bool {
         if self.policy.loops.drift == 0.0 {
             return false;
         }
@@ -63,7 +63,7 @@ impl<S: Space> PoseGraph<S> {
             });
         let mut travel = None;
         contradicted.any(|(id, gap)| {
-            let travel = travel.get_or_insert_with(|| TravelGraph::new(&self.state, &self.ways));
+            let travel = travel.get_or_insert_with(|| TravelGraph::new(&self.state, &self.path_lengths));
             self.is_near_odometry(constraint, (id, gap), travel).unwrap_or(false)
         })
     }
@@ -94,9 +94,9 @@ impl<S: Space> PoseGraph<S> {
         };
         let (to_gap, from_gap) =
             (travel.lengths_from(tie.submap_id), travel.lengths_from(travel.submap_of(tie.node_id)?));
-        let way = to_gap.of_place(before)? + gap.way + from_gap.of_place(later)?;
-        let turned = to_gap.of_heading(before)? + gap.way + from_gap.of_heading(later)?;
-        let window = self.policy.loops.window(way, turned);
+        let path_length = to_gap.of_place(before)? + gap.path_length + from_gap.of_place(later)?;
+        let turned = to_gap.of_heading(before)? + gap.path_length + from_gap.of_heading(later)?;
+        let window = self.policy.loops.window(path_length, turned);
         Some(error.translation.vector.norm() <= window.linear && rotation_angle(&error) <= window.angular)
     }
 
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn matches_that_leave_the_way_open_tie_no_parts_but_help_odometry_to() {
+    fn degenerate_matches_connect_parts_only_with_odometry() {
         let options = Options::for_2d().map_builder.pose_graph;
         let mut graph = PoseGraph::<Space2d>::new(options);
         graph.policy.min_agreeing = 3;
@@ -197,7 +197,7 @@ mod tests {
 
     /// Three nodes place the part after a gap where odometry predicts it, two metres beside it, and three
     /// more place it elsewhere: returns whether any are accepted.
-    fn is_odometry_believed(is_contradicted: bool) -> bool {
+    fn is_odometry_accepted(is_contradicted: bool) -> bool {
         let options = Options::for_2d().map_builder.pose_graph;
         let mut graph = PoseGraph::<Space2d>::new(options);
         graph.policy.min_agreeing = 3;
@@ -234,10 +234,10 @@ mod tests {
     }
 
     #[test]
-    fn places_that_agree_with_odometry_are_believed_before_others() {
-        assert!(is_odometry_believed(true));
+    fn places_that_agree_with_odometry_are_preferred() {
+        assert!(is_odometry_accepted(true));
         // A gap without scans: odometry is used for searching, and matches have to agree all the same.
-        assert!(!is_odometry_believed(false));
+        assert!(!is_odometry_accepted(false));
     }
 
     /// Where the part after a gap ends up, metres, that odometry puts 20 m ahead of a room of 6 by 5 m, and whose three matches put it into that room;
@@ -281,14 +281,14 @@ mod tests {
     }
 
     #[test]
-    fn places_far_from_odometry_are_believed_if_scans_confirm_them() {
+    fn places_far_from_odometry_are_accepted_if_scans_confirm_them() {
         let (same_room, another_room) = (place_of((6.0, 5.0)), place_of((9.0, 7.0)));
         assert!(same_room.abs() < 0.05, "{same_room}");
         assert!((another_room - 20.0).abs() < 0.05, "{another_room}");
     }
 
     #[test]
-    fn what_no_scan_ties_lies_where_odometry_says() {
+    fn parts_without_matching_scans_are_placed_by_odometry() {
         is_tied_after_a_gap(false);
         is_tied_after_a_gap(true);
     }

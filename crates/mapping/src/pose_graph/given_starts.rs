@@ -22,22 +22,22 @@ impl<S: Space> PoseGraph<S> {
         self.refuted_starts.get(&id).copied()
     }
 
-    pub(super) fn doubt_given_starts(&mut self) {
+    pub(super) fn verify_given_starts(&mut self) {
         if !self.searches_whole_maps() {
             return;
         }
         let with_start: BTreeSet<TrajectoryId> =
             self.problem.given_starts.keys().map(|node_id| node_id.trajectory_id).collect();
         for id in with_start {
-            self.doubt_given_start(id);
+            self.verify_given_start(id);
         }
     }
 
-    fn doubt_given_start(&mut self, id: TrajectoryId) {
+    fn verify_given_start(&mut self, id: TrajectoryId) {
         // Pieces into which the trajectory was split have later numbers, and belong to the same start.
         let new: BTreeSet<TrajectoryId> =
             self.state.trajectories.keys().copied().filter(|other| *other >= id).collect();
-        if self.stop.is_asked() {
+        if self.stop.is_requested() {
             return;
         }
         let before = self.snapshot();

@@ -23,20 +23,20 @@ impl<S: Space> PoseGraph<S> {
         let trajectory = self.state.trajectory_mut(trajectory_id);
         let node_id = NodeId::new(trajectory_id, trajectory.next_node_index);
         trajectory.next_node_index += 1;
-        let way = self.way_to(node_id, &data.local_from_tracking);
-        self.ways.insert(node_id, way);
+        let path_length = self.path_length_to(node_id, &data.local_from_tracking);
+        self.path_lengths.insert(node_id, path_length);
         self.state.nodes.insert(node_id, Node { data: Arc::clone(data), map_from_tracking });
         node_id
     }
 
     /// Distance of a new node along its trajectory, metres.
-    fn way_to(&self, node_id: NodeId, local_from_tracking: &Rigid3) -> f64 {
+    fn path_length_to(&self, node_id: NodeId, local_from_tracking: &Rigid3) -> f64 {
         let Some((before_id, before)) = of_trajectory(&self.state.nodes, node_id.trajectory_id).next_back()
         else {
             return 0.0;
         };
         let motion = before.data.local_from_tracking.inverse() * local_from_tracking;
-        self.ways.get(&before_id).copied().unwrap_or(0.0) + step_length(&motion)
+        self.path_lengths.get(&before_id).copied().unwrap_or(0.0) + step_length(&motion)
     }
 
     /// Gives new submaps their identity and first global pose (`slam2d.md` §14.3, 1).

@@ -17,7 +17,7 @@ const MOST_NODES: usize = 64;
 /// searched. Assumed: a piece is worth connecting if at least a quarter of it is in the rest, and a node
 /// there is found at least every second time. Then all nodes miss by chance in 4 of 100 such pieces, (1 −
 /// 1/8)^24; in 1 of 1000 if half of the piece is in the rest.
-const HOPELESS_NODES: usize = 24;
+const MAX_UNMATCHED_NODES: usize = 24;
 /// Maximum number of pairs that are matched around their guess in a round, once a trajectory has its place.
 const MOST_PAIRS: usize = 3000;
 /// Maximum number of such rounds.
@@ -31,7 +31,7 @@ impl<S: Space> PoseGraph<S> {
     /// if there are any, nothing is optimised.
     pub fn join(&mut self, joining: &BTreeSet<TrajectoryId>) -> BTreeSet<TrajectoryId> {
         let all: Vec<TrajectoryId> = self.state.trajectories.keys().copied().collect();
-        all.into_iter().for_each(|id| self.measure_way(id));
+        all.into_iter().for_each(|id| self.measure_path_lengths(id));
         self.places.save_without_limit();
         for id in joining {
             self.place(*id, joining);
@@ -58,7 +58,10 @@ impl<S: Space> PoseGraph<S> {
         for (_, id) in by_size {
             let part: BTreeSet<TrajectoryId> = self.state.connectivity.members(id).into_iter().collect();
             let is_placed = part.iter().any(|member| !looked_for.contains(member));
-            if !is_placed && !self.stop.is_asked() && of_trajectory(&self.state.nodes, id).next().is_some() {
+            if !is_placed
+                && !self.stop.is_requested()
+                && of_trajectory(&self.state.nodes, id).next().is_some()
+            {
                 self.place(id, &part);
             }
         }
@@ -70,13 +73,13 @@ impl<S: Space> PoseGraph<S> {
     }
 
     /// Computes the distance of nodes along their trajectory: files do not keep it.
-    fn measure_way(&mut self, id: TrajectoryId) {
-        let mut way = 0.0;
+    fn measure_path_lengths(&mut self, id: TrajectoryId) {
+        let mut path_length = 0.0;
         let mut before: Option<portolan_geometry::Rigid3> = None;
         for (node_id, node) in of_trajectory(&self.state.nodes, id) {
             let pose = node.data.local_from_tracking;
-            way += before.map_or(0.0, |b| super::insertion::step_length(&(b.inverse() * pose)));
-            self.ways.insert(node_id, way);
+            path_length += before.map_or(0.0, |b| super::insertion::step_length(&(b.inverse() * pose)));
+            self.path_lengths.insert(node_id, path_length);
             before = Some(pose);
         }
     }
@@ -99,9 +102,9 @@ impl<S: Space> PoseGraph<S> {
         let parts = self.searched_parts(joining);
         let mut is_found = false;
         for (i, round) in spread.chunks(NODES_A_ROUND).enumerate() {
-            let is_hopeless = !parts.is_empty() && !is_found && i * NODES_A_ROUND >= HOPELESS_NODES;
-            let may_search = self.places.may_search() && !self.stop.is_asked();
-            if self.is_joined(id, joining) || is_hopeless || !may_search {
+            let is_given_up = !parts.is_empty() && !is_found && i * NODES_A_ROUND >= MAX_UNMATCHED_NODES;
+            let may_search = self.places.may_search() && !self.stop.is_requested();
+            if self.is_joined(id, joining) || is_given_up || !may_search {
                 return;
             }
             if !parts.is_empty() {
@@ -139,7 +142,7 @@ impl<S: Space> PoseGraph<S> {
     /// by the drift of both, and come within reach step by step.
     pub(super) fn close_loops_with(&mut self, joining: &BTreeSet<TrajectoryId>) {
         for _ in 0..MOST_ROUNDS {
-            if self.stop.is_asked() {
+            if self.stop.is_requested() {
                 return;
             }
             self.run_optimization();
@@ -187,15 +190,16 @@ impl<S: Space> PoseGraph<S> {
     fn spaced_nodes(&self) -> Vec<NodeId> {
         let spacing = self.policy.loops.spacing.max(LEAST_SPACING);
         let mut last: Option<(TrajectoryId, f64)> = None;
-        let ways = self.ways.iter().filter(|(id, way)| {
-            let is_due =
-                last.is_none_or(|(trajectory, at)| trajectory != id.trajectory_id || **way - at >= spacing);
+        let path_lengths = self.path_lengths.iter().filter(|(id, path_length)| {
+            let is_due = last.is_none_or(|(trajectory, at)| {
+                trajectory != id.trajectory_id || **path_length - at >= spacing
+            });
             if is_due {
-                last = Some((id.trajectory_id, **way));
+                last = Some((id.trajectory_id, **path_length));
             }
             is_due
         });
-        ways.map(|(id, _)| *id).collect()
+        path_lengths.map(|(id, _)| *id).collect()
     }
 }
 
@@ -232,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_lost_again_and_again_is_looked_for_in_a_bounded_number_of_parts() {
+    fn repeated_loss_of_tracking_searches_a_bounded_number_of_parts() {
         let graph = lost_again_and_again(20);
         assert_eq!(graph.state().connectivity.components().len(), 20);
         assert_eq!(graph.searched_parts(&BTreeSet::new()).len(), 8);
@@ -241,11 +245,11 @@ mod tests {
     }
 
     #[test]
-    fn a_map_that_is_wanted_as_it_is_is_not_searched() {
+    fn no_search_after_a_stop_request() {
         let searched = |is_wanted: bool| {
             let mut graph = lost_again_and_again(3);
             if is_wanted {
-                graph.stop().ask();
+                graph.stop().request();
             }
             let before = graph.optimizations().0;
             graph.run_final_optimization();

@@ -32,14 +32,14 @@ const PLACE: f64 = 2.0;
 type Cell = [i32; 4];
 
 /// A complete submap and the cells that it knows.
-struct Known {
+struct SubmapCells {
     id: SubmapId,
     newest_node: Time,
-    may_go: bool,
+    is_removable: bool,
     cells: BTreeSet<Cell>,
 }
 
-impl Known {
+impl SubmapCells {
     /// Its cells and those beside them: outlines and paths are never quite the same again.
     fn around(&self) -> BTreeSet<Cell> {
         let beside = |[x, y, z, heading]: Cell| {
@@ -72,7 +72,7 @@ impl<S: Space> PoseGraph<S> {
             }
             self.tie_torn(&whole);
         }
-        self.forget_lonely_sightings();
+        self.forget_unconnected_sightings();
         self.complete_after_dropping = self.complete_submaps();
     }
 
@@ -83,9 +83,9 @@ impl<S: Space> PoseGraph<S> {
     /// The submaps of a part of the map that others of it cover.
     fn covered_in(&self, part: &[TrajectoryId], newest: usize) -> Vec<SubmapId> {
         let submaps: Vec<SubmapId> = part.iter().flat_map(|id| self.submaps_of(*id)).collect();
-        let mut known: Vec<Known> = submaps.par_iter().filter_map(|id| self.known(*id)).collect();
+        let mut known: Vec<SubmapCells> = submaps.par_iter().filter_map(|id| self.known(*id)).collect();
         known.sort_by_key(|known| (known.newest_node, known.id));
-        let around: Vec<BTreeSet<Cell>> = known.par_iter().map(Known::around).collect();
+        let around: Vec<BTreeSet<Cell>> = known.par_iter().map(SubmapCells::around).collect();
         let with_around = || known.iter().zip(&around);
         let mut stay: Vec<BTreeSet<Cell>> = visible(with_around(), 1);
         let mut of_newest = visible(with_around().rev(), newest);
@@ -97,7 +97,7 @@ impl<S: Space> PoseGraph<S> {
         for ((known, around), stay) in with_around().zip(&stay) {
             let all = known.cells.len() as f64;
             let alone = known.cells.iter().filter(|cell| knowing.get(*cell) == Some(&1)).count() as f64;
-            if known.may_go && (stay.len() as f64) < LEAST_SEEN * all && alone <= MOST_ALONE * all {
+            if known.is_removable && (stay.len() as f64) < LEAST_SEEN * all && alone <= MOST_ALONE * all {
                 around.iter().for_each(|cell| *knowing.entry(*cell).or_insert(1) -= 1);
                 covered.push(known.id);
             }
@@ -106,12 +106,12 @@ impl<S: Space> PoseGraph<S> {
     }
 
     /// The cells of a complete submap; none before it was optimised.
-    fn known(&self, id: SubmapId) -> Option<Known> {
+    fn known(&self, id: SubmapId) -> Option<SubmapCells> {
         let entry = self.state.submaps.get(&id).filter(|s| s.insertion_finished && s.searchable)?;
         let newest_node = self.state.time_of_last_node(entry).unwrap_or(Time::MIN);
-        let may_go = self.state.trajectory_state(id.trajectory_id) != TrajectoryState::Frozen;
+        let is_removable = self.state.trajectory_state(id.trajectory_id) != TrajectoryState::Frozen;
         let cells = self.cells_of_area(id).or_else(|| self.cells_of_places(id))?;
-        Some(Known { id, newest_node, may_go, cells })
+        Some(SubmapCells { id, newest_node, is_removable, cells })
     }
 
     /// The cells of the map that a submap knows; none where that is not defined (3D).
@@ -137,7 +137,7 @@ impl<S: Space> PoseGraph<S> {
     }
 
     /// Removes landmark sightings between nodes that were removed: they constrain nothing any more.
-    fn forget_lonely_sightings(&mut self) {
+    fn forget_unconnected_sightings(&mut self) {
         let nodes = &self.state.nodes;
         let mut spans: BTreeMap<TrajectoryId, Vec<(Time, Time)>> = BTreeMap::new();
         for ((a, before), (b, after)) in nodes.iter().zip(nodes.iter().skip(1)) {
@@ -161,7 +161,7 @@ impl<S: Space> PoseGraph<S> {
 
 /// The cells of each submap that are visible in it, if each cell is in the first `count` submaps of this order.
 fn visible<'a>(
-    submaps: impl Iterator<Item = (&'a Known, &'a BTreeSet<Cell>)>,
+    submaps: impl Iterator<Item = (&'a SubmapCells, &'a BTreeSet<Cell>)>,
     count: usize,
 ) -> Vec<BTreeSet<Cell>> {
     let mut visible = VisibleCells::in_first(count);

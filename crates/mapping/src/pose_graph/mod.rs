@@ -7,12 +7,12 @@
 mod agreement;
 mod consistency;
 mod contradictions;
-mod doubted_gaps;
 mod drift;
 mod editing;
 mod extension;
 mod final_search;
 mod found_places;
+mod gap_verification;
 mod gaps;
 mod given_starts;
 mod hypotheses;
@@ -31,7 +31,7 @@ mod redrawing;
 mod renewing;
 mod sampling;
 mod search;
-mod shortest_ways;
+mod shortest_paths;
 mod state;
 mod summary_ties;
 mod travel;
@@ -100,7 +100,7 @@ pub struct PoseGraph<S: Space> {
     nodes_since_optimization: i64,
     policy: PoseGraphPolicy,
     /// Distance of nodes along their trajectories, metres.
-    ways: BTreeMap<NodeId, f64>,
+    path_lengths: BTreeMap<NodeId, f64>,
     /// Largest distance of the nodes of complete submaps from the submap origin, metres.
     extents: BTreeMap<SubmapId, f64>,
     /// Variance accumulated up to each node where scans did not constrain the position or the heading.
@@ -146,7 +146,7 @@ impl<S: Space> PoseGraph<S> {
             summaries: SummaryTies::default(),
             nodes_since_optimization: 0,
             policy: PoseGraphPolicy::default(),
-            ways: BTreeMap::new(),
+            path_lengths: BTreeMap::new(),
             extents: BTreeMap::new(),
             gathered: BTreeMap::new(),
             open_nodes: OpenNodes::default(),
@@ -242,7 +242,7 @@ impl<S: Space> PoseGraph<S> {
             i64::from(self.options.optimize_every_n_nodes),
             self.state.nodes.len(),
         );
-        if due > 0 && self.nodes_since_optimization > due && !self.stop.is_asked() {
+        if due > 0 && self.nodes_since_optimization > due && !self.stop.is_requested() {
             self.optimize();
         }
         node_id
@@ -306,7 +306,7 @@ impl<S: Space> PoseGraph<S> {
             return;
         }
         let Some(submap) = &entry.submap else { return };
-        let way = self.ways.get(&node_id).copied().unwrap_or(0.0);
+        let path_length = self.path_lengths.get(&node_id).copied().unwrap_or(0.0);
         if self.both_frozen(node_id, submap_id) {
             return;
         }
@@ -325,7 +325,7 @@ impl<S: Space> PoseGraph<S> {
                 &guess.translation.vector,
                 self.policy.loops.widest_window(),
             ) {
-                self.search.add_local((submap_id, submap), (node_id, &node.data), guess, way);
+                self.search.add_local((submap_id, submap), (node_id, &node.data), guess, path_length);
             }
             return;
         }
@@ -382,8 +382,8 @@ impl<S: Space> PoseGraph<S> {
         if self.take_supported() > 0 {
             self.run_optimization();
         }
-        self.doubt_given_starts();
-        self.doubt_places_after_gaps();
+        self.verify_given_starts();
+        self.verify_places_after_gaps();
         self.search_missed();
         if self.settle_open_loop_closures() {
             self.run_optimization();

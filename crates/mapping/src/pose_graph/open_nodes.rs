@@ -33,7 +33,7 @@ impl OpenNodes {
 impl<S: Space> PoseGraph<S> {
     /// Graph of the path lengths in the present map, for searching the waiting pairs.
     pub(super) fn travel_graph(&mut self) -> TravelGraph {
-        let mut travel = TravelGraph::new(&self.state, &self.ways);
+        let mut travel = TravelGraph::new(&self.state, &self.path_lengths);
         if self.policy.loops.drift > 0.0 {
             let drifting = drifting_nodes(&travel, self.search.waiting_pairs());
             self.ask_nodes(&drifting, &travel);

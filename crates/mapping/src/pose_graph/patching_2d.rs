@@ -14,7 +14,7 @@ use crate::{NodeId, Space2d, SubmapId, TrajectoryId, of_trajectory};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CellFate {
     /// It stays as it is.
-    Stays,
+    Kept,
     /// Known cells take the value of newer submaps.
     Replaced,
     /// Unknown cells take the value of newer submaps, in submaps in which something is replaced.
@@ -88,7 +88,7 @@ impl PoseGraph<Space2d> {
         let count = patched.rewrite(|cell| {
             let point = point(cell);
             let is_due = match fate(&point) {
-                CellFate::Stays => false,
+                CellFate::Kept => false,
                 CellFate::Replaced => grid.is_known(cell),
                 CellFate::Filled => !grid.is_known(cell),
             };
@@ -111,16 +111,21 @@ impl PoseGraph<Space2d> {
             };
             let Some(node) = self.state.nodes.get_mut(&id) else { continue };
             let cloud = &node.data.filtered_gravity_aligned_point_cloud;
-            let goes: Vec<bool> = cloud
+            let is_removed: Vec<bool> = cloud
                 .points
                 .iter()
                 .map(|p| is_gone(&map_from_node.transform_point(&Vector2::new(p.x.into(), p.y.into()))))
                 .collect();
-            let count = goes.iter().filter(|goes| **goes).count();
-            if count == 0 || count == goes.len() {
+            let count = is_removed.iter().filter(|is_removed| **is_removed).count();
+            if count == 0 || count == is_removed.len() {
                 continue;
             }
-            let left = cloud.points.iter().zip(&goes).filter(|(_, goes)| !**goes).map(|(point, _)| *point);
+            let left = cloud
+                .points
+                .iter()
+                .zip(&is_removed)
+                .filter(|(_, is_removed)| !**is_removed)
+                .map(|(point, _)| *point);
             let left = PointCloud::new(left.collect());
             Arc::make_mut(&mut node.data).filtered_gravity_aligned_point_cloud = left;
             forgotten += count;

@@ -19,7 +19,7 @@ const FREE: f32 = 0.1;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VoxelFate {
     /// It stays as it is.
-    Stays,
+    Kept,
     /// Newer submaps show something new there.
     Appeared,
     /// Something that was there is gone.
@@ -51,7 +51,7 @@ impl PoseGraph<Space3d> {
         let older: BTreeSet<SubmapId> =
             self.state.submaps.keys().filter(|id| id.trajectory_id != newer).copied().collect();
         let appeared = self.appeared(newer, &older, fate);
-        let nothing = Default::default();
+        let empty = Default::default();
         for id in older {
             let Some(map_from_submap) = self.state.map_from_submap(id).map(|pose| to_f32(&pose)) else {
                 continue;
@@ -64,7 +64,7 @@ impl PoseGraph<Space3d> {
                 let gone = solid.filter(|(point, _)| fate(point) == VoxelFate::Gone);
                 gone.map(|(point, _)| (point, FREE)).collect::<Vec<_>>()
             });
-            let new = appeared.get(&id).unwrap_or(&nothing);
+            let new = appeared.get(&id).unwrap_or(&empty);
             if gone.iter().chain(new).all(Vec::is_empty) {
                 continue;
             }
@@ -117,8 +117,8 @@ impl PoseGraph<Space3d> {
         for (_, node) in self.state.nodes.iter_mut().filter(|(id, _)| id.trajectory_id != newer) {
             let map_from_tracking = to_f32(&node.map_from_tracking);
             let left = |cloud: &PointCloud| -> Option<PointCloud> {
-                let stays = |point: &&Point3f| !is_gone(&(map_from_tracking * *point));
-                let left: Vec<Point3f> = cloud.points.iter().filter(stays).copied().collect();
+                let is_kept = |point: &&Point3f| !is_gone(&(map_from_tracking * *point));
+                let left: Vec<Point3f> = cloud.points.iter().filter(is_kept).copied().collect();
                 (!left.is_empty() && left.len() < cloud.points.len()).then(|| PointCloud::new(left))
             };
             let high = left(&node.data.high_resolution_point_cloud);

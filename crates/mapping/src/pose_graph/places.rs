@@ -75,15 +75,15 @@ pub(super) struct Steps(BTreeMap<TrajectoryId, f64>);
 
 impl Steps {
     /// Starts counting at this distance along the trajectory.
-    fn begin(&mut self, id: TrajectoryId, way: f64) {
-        self.0.entry(id).or_insert(way);
+    fn begin(&mut self, id: TrajectoryId, path_length: f64) {
+        self.0.entry(id).or_insert(path_length);
     }
 
     /// Whether it is due again, once in `spacing` metres; if so, this distance is noted.
-    pub fn is_due(&mut self, id: TrajectoryId, way: f64, spacing: f64) -> bool {
-        let is_due = self.0.get(&id).is_none_or(|last| way - last >= spacing);
+    pub fn is_due(&mut self, id: TrajectoryId, path_length: f64, spacing: f64) -> bool {
+        let is_due = self.0.get(&id).is_none_or(|last| path_length - last >= spacing);
         if is_due {
-            self.0.insert(id, way);
+            self.0.insert(id, path_length);
         }
         is_due
     }
@@ -160,14 +160,14 @@ impl<S: Space> PoseGraph<S> {
     pub(super) fn look_everywhere(&mut self, node_id: NodeId) {
         let id = node_id.trajectory_id;
         self.places.save();
-        let may_search = self.places.may_search() && !self.stop.is_asked();
+        let may_search = self.places.may_search() && !self.stop.is_requested();
         let is_wanted = self.searches_whole_maps() && may_search;
         if !is_wanted || self.state.connectivity.components().len() < 2 {
             return;
         }
-        let way = self.ways.get(&node_id).copied().unwrap_or(0.0);
-        self.places.last.begin(id, way);
-        if !self.places.last.is_due(id, way, self.spacing_of_searches()) {
+        let path_length = self.path_lengths.get(&node_id).copied().unwrap_or(0.0);
+        self.places.last.begin(id, path_length);
+        if !self.places.last.is_due(id, path_length, self.spacing_of_searches()) {
             return;
         }
         let mut without = self.parts_beyond_gaps(id);
@@ -214,7 +214,7 @@ impl<S: Space> PoseGraph<S> {
             parts.truncate(MOST_PARTS);
             parts.sort_by(|a, b| a.1.cmp(&b.1));
         }
-        let wanted = parts.iter().take_while(|_| !self.stop.is_asked());
+        let wanted = parts.iter().take_while(|_| !self.stop.is_requested());
         wanted.filter_map(|(_, part)| self.searched_part(part)).collect()
     }
 
@@ -262,7 +262,7 @@ impl<S: Space> PoseGraph<S> {
     fn proposals(&self, node_id: NodeId, parts: &[SearchedPart], most_lookups: u64) -> Proposals {
         let scans = self.stretch_around(node_id);
         let mut proposals = Proposals::default();
-        for part in parts.iter().take_while(|_| !self.stop.is_asked()) {
+        for part in parts.iter().take_while(|_| !self.stop.is_requested()) {
             let found = part.finder.find(&scans, most_lookups);
             proposals.lookups += found.lookups;
             for map_from_node in found.poses {
@@ -277,23 +277,25 @@ impl<S: Space> PoseGraph<S> {
     fn stretch_around(&self, node_id: NodeId) -> Vec<(Rigid3, &NodeData)> {
         let pose = |id: &NodeId| self.problem.nodes.get(id).map(|node| node.map_from_node);
         let (Some(node), Some(map_from_node), Some(middle)) =
-            (self.state.nodes.get(&node_id), pose(&node_id), self.ways.get(&node_id).copied())
+            (self.state.nodes.get(&node_id), pose(&node_id), self.path_lengths.get(&node_id).copied())
         else {
             return Vec::new();
         };
         let mut scans = vec![(Rigid3::identity(), &*node.data)];
-        let earlier = self.ways.range(..node_id).rev();
-        let later = self.ways.range(node_id..).skip(1);
+        let earlier = self.path_lengths.range(..node_id).rev();
+        let later = self.path_lengths.range(node_id..).skip(1);
         for side in [&mut earlier.into_iter() as &mut dyn Iterator<Item = _>, &mut later.into_iter()] {
             let mut last = middle;
-            for (id, way) in side {
-                if id.trajectory_id != node_id.trajectory_id || (way - middle).abs() > S::STRETCH_METRES {
+            for (id, path_length) in side {
+                if id.trajectory_id != node_id.trajectory_id
+                    || (path_length - middle).abs() > S::STRETCH_METRES
+                {
                     break;
                 }
-                if (way - last).abs() < SCAN_SPACING {
+                if (path_length - last).abs() < SCAN_SPACING {
                     continue;
                 }
-                last = *way;
+                last = *path_length;
                 let (Some(other), Some(map_from_other)) = (self.state.nodes.get(id), pose(id)) else {
                     continue;
                 };
@@ -309,7 +311,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn searches_end_when_what_they_may_look_up_is_spent() {
+    fn searches_end_when_the_lookup_budget_is_spent() {
         let mut searches = PlaceSearches::default();
         searches.save_for(1000);
         let (mut spent, mut rounds) = (0, 0);

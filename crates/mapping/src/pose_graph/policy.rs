@@ -35,11 +35,11 @@ const LEAST_WINDOW: SearchWindow = SearchWindow { linear: 1.5, angular: 0.2 };
 const WIDEST_WINDOW: f64 = 30.0;
 
 impl LoopSearchPolicy {
-    /// Drift over a path of length `way`, metres: metres and radians. The position error grows linearly with
+    /// Drift over a path, metres: metres and radians. The position error grows linearly with
     /// the path length, as it does with a constant heading error; the heading error is a random walk (square
     /// root of the path length).
-    pub(super) fn drift_over(&self, way: f64) -> SearchWindow {
-        SearchWindow { linear: self.drift * way, angular: self.drift * way.sqrt() }
+    pub(super) fn drift_over(&self, path_length: f64) -> SearchWindow {
+        SearchWindow { linear: self.drift * path_length, angular: self.drift * path_length.sqrt() }
     }
 
     /// Search window around the guess. `travelled` and `turned` are the path lengths, metres, over which the
@@ -60,7 +60,7 @@ impl LoopSearchPolicy {
 
 /// Path length from which a loop closure has its full information, metres; over shorter paths it has
 /// proportionally less.
-const TELLING_WAY: f64 = 20.0;
+const INFORMATIVE_PATH: f64 = 20.0;
 /// Minimum fraction of pairs that are searched however short the path: repeated measurements still improve
 /// the poses.
 const LEAST_SHARE: f64 = 0.1;
@@ -75,22 +75,22 @@ pub(super) struct Spacing {
 }
 
 impl Spacing {
-    /// Whether a node at distance `way` along its trajectory is to be searched: one node in `spacing` metres.
-    /// Each submap has its own phase, so that not all submaps are searched for the same nodes.
-    pub fn is_due(&mut self, (submap, node): (SubmapId, NodeId), way: f64, spacing: f64) -> bool {
+    /// Whether a node at distance `path_length` along its trajectory is to be searched: one node in `spacing`
+    /// metres. Each submap has its own phase, so that not all submaps are searched for the same nodes.
+    pub fn is_due(&mut self, (submap, node): (SubmapId, NodeId), path_length: f64, spacing: f64) -> bool {
         let phase = (f64::from(submap.index) * GOLDEN).fract();
-        let last = self.last.entry(node.trajectory_id).or_insert(way - phase * spacing);
-        let is_due = (way - *last).abs() >= spacing;
+        let last = self.last.entry(node.trajectory_id).or_insert(path_length - phase * spacing);
+        let is_due = (path_length - *last).abs() >= spacing;
         if is_due {
-            *last = way;
+            *last = path_length;
         }
         is_due
     }
 
     /// Whether to search a pair whose path length is `travelled`, metres. Pairs with a short path are
     /// searched less often.
-    pub fn is_telling(&mut self, travelled: f64) -> bool {
-        self.due += (travelled / TELLING_WAY).clamp(LEAST_SHARE, 1.0);
+    pub fn is_informative(&mut self, travelled: f64) -> bool {
+        self.due += (travelled / INFORMATIVE_PATH).clamp(LEAST_SHARE, 1.0);
         let is_due = self.due >= 1.0;
         self.due -= f64::from(u8::from(is_due));
         is_due

@@ -78,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_submap_reaches_as_far_as_its_nodes() {
+    fn the_reach_of_a_long_submap_includes_its_nodes() {
         assert!(reaches(true, 14.0) && reaches(true, 50.0) && reaches(true, 114.0));
         assert!(!reaches(true, 116.0) && !reaches(true, -16.0));
         assert!(reaches(false, 14.0) && !reaches(false, 50.0));

@@ -20,10 +20,10 @@ impl<S: Space> PoseGraph<S> {
             return;
         }
         let ids: Vec<SubmapId> = self.state.submaps.keys().copied().collect();
-        let goes_on = || !self.stop.is_asked();
-        let redrawn = ids.par_iter().filter(|_| goes_on()).filter_map(|id| Some((*id, self.redrawn(*id)?)));
+        let continues = || !self.stop.is_requested();
+        let redrawn = ids.par_iter().filter(|_| continues()).filter_map(|id| Some((*id, self.redrawn(*id)?)));
         let redrawn: Vec<_> = redrawn.collect();
-        if self.stop.is_asked() {
+        if self.stop.is_requested() {
             return;
         }
         for (id, submap) in redrawn {

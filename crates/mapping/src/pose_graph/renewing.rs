@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_removed_submap_held_together_is_tied_as_it_lies() {
+    fn neighbours_of_a_removed_submap_are_connected_at_their_poses() {
         let mut graph = chain();
         graph.remove_submaps(&[submap_id(1)].into());
         let ties: Vec<&Constraint> =
@@ -352,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_newer_submaps_show_is_replaced() {
+    fn only_submaps_covered_by_newer_ones_are_replaced() {
         let mut graph = chain();
         let replacement = Replacement {
             newest: 2,
@@ -365,7 +365,7 @@ mod tests {
         graph.load_trajectory(newer, None);
         let far = Rigid3::translation(100.0, 0.0, 0.0);
         graph.load_submap(SubmapId::new(newer, 0), Arc::new(submap(ROOM)), true, far);
-        assert!(graph.covered_by(newer, replacement).is_empty(), "it lies elsewhere");
+        assert!(graph.covered_by(newer, replacement).is_empty(), "it is elsewhere");
         for (index, x) in [(1, 0.0), (2, 0.5)] {
             let pose = Rigid3::translation(x, 0.0, 0.0);
             graph.load_submap(SubmapId::new(newer, index), Arc::new(submap(ROOM)), true, pose);

@@ -94,18 +94,18 @@ impl<S: Space> ConstraintSearch<S> {
         self.policy = policy;
     }
 
-    /// Adds a pair whose relative pose is roughly known, if the sampling of the submap selects it. `way` is
-    /// the distance of the node along its trajectory, metres.
+    /// Adds a pair whose relative pose is roughly known, if the sampling of the submap selects it.
+    /// `path_length` is the distance of the node along its trajectory, metres.
     pub fn add_local(
         &mut self,
         (submap_id, submap): (SubmapId, &Arc<S::Submap>),
         (node_id, node): (NodeId, &Arc<NodeData>),
         guess_submap_from_node: Rigid3,
-        way: f64,
+        path_length: f64,
     ) {
         let spacing = self.policy.spacing;
         let is_due = if spacing > 0.0 {
-            self.spacings.entry(submap_id).or_default().is_due((submap_id, node_id), way, spacing)
+            self.spacings.entry(submap_id).or_default().is_due((submap_id, node_id), path_length, spacing)
         } else {
             self.samplers.pulse(submap_id)
         };
@@ -256,8 +256,8 @@ impl<S: Space> ConstraintSearch<S> {
         remembered: &Remembered,
     ) -> Vec<(usize, Option<Constraint>)> {
         let (memory, options) = (&remembered.memory, &self.options);
-        let goes_on = || !self.stop.is_asked();
-        let pending = tasks.par_iter().filter(|_| goes_on()).map(|(i, task)| {
+        let continues = || !self.stop.is_requested();
+        let pending = tasks.par_iter().filter(|_| continues()).map(|(i, task)| {
             let pair = (task.submap_id, task.node_id);
             let question = remembered.where_is(pair, &task.guess_submap_from_node, &task.region);
             let outcome = match memory.recall::<Option<MatchedPose>>(question) {
@@ -271,7 +271,7 @@ impl<S: Space> ConstraintSearch<S> {
         let unknown = pending.iter().find(|(.., nearby)| *nearby == Nearby::Unknown);
         let matcher =
             unknown.and_then(|(_, task, ..)| self.matchers.get_or_build(submap_id, &task.submap, options));
-        let found = pending.into_par_iter().filter(|_| goes_on()).map(|(i, task, question, nearby)| {
+        let found = pending.into_par_iter().filter(|_| continues()).map(|(i, task, question, nearby)| {
             let found = match nearby {
                 Nearby::Found(found) => Some(found),
                 Nearby::Unknown => search_node(matcher.as_deref(), task, options),
@@ -296,7 +296,8 @@ impl<S: Space> ConstraintSearch<S> {
             if distance > farthest + window.linear {
                 return true;
             }
-            policy.spacing > 0.0 && !self.spacings.entry(task.submap_id).or_default().is_telling(travelled)
+            policy.spacing > 0.0
+                && !self.spacings.entry(task.submap_id).or_default().is_informative(travelled)
         };
         tasks.iter().map(is_needless).collect()
     }

@@ -67,7 +67,7 @@ pub struct Gap {
     pub bridge: OdometryBridge,
     /// Path length over which poses drift as much as odometry may be off in the gap, metres; windows of loop
     /// searches follow it.
-    pub way: f64,
+    pub path_length: f64,
 }
 
 /// Data of one trajectory besides its nodes and submaps.

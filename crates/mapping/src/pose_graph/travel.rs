@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::{NodeId, Space, SubmapId, of_trajectory};
 
-use super::shortest_ways::shortest_ways;
+use super::shortest_paths::shortest_paths;
 use super::state::GraphState;
 
 /// Path length that a loop closure counts as, metres: it is no more accurate than that much of a trajectory.
@@ -28,10 +28,10 @@ pub(super) struct TravelGraph {
 
 impl TravelGraph {
     /// The paths in the present map: from each submap to the next of its trajectory, and over loop closures.
-    /// `ways` are the distances of nodes along their trajectories, metres: where submaps between were
+    /// `path_lengths` are the distances of nodes along their trajectories, metres: where submaps between were
     /// dropped, the path was longer than the straight line.
-    pub fn new<S: Space>(state: &GraphState<S>, ways: &BTreeMap<NodeId, f64>) -> Self {
-        let way = |entry: &crate::SubmapEntry<S>| ways.get(entry.node_ids.first()?).copied();
+    pub fn new<S: Space>(state: &GraphState<S>, path_lengths: &BTreeMap<NodeId, f64>) -> Self {
+        let path_length = |entry: &crate::SubmapEntry<S>| path_lengths.get(entry.node_ids.first()?).copied();
         let mut graph = Self::default();
         let mut previous: Option<(SubmapId, &crate::SubmapEntry<S>)> = None;
         for (id, entry) in &state.submaps {
@@ -41,7 +41,8 @@ impl TravelGraph {
             if let Some((before, known)) = previous.filter(|(b, _)| b.trajectory_id == id.trajectory_id) {
                 let [from, to] = [known, entry].map(|e| e.local_from_submap.translation.vector);
                 let line = (to - from).norm();
-                let between = way(entry).zip(way(known)).filter(|_| before.index + 1 < id.index);
+                let between =
+                    path_length(entry).zip(path_length(known)).filter(|_| before.index + 1 < id.index);
                 graph.connect(before, *id, between.map_or(line, |(to, from)| line.max(to - from)));
             }
             previous = Some((*id, entry));
@@ -51,7 +52,7 @@ impl TravelGraph {
             let last = of_trajectory(&state.submaps, gap.before).next_back();
             let first = of_trajectory(&state.submaps, *id).next();
             if let (Some((last, _)), Some((first, _))) = (last, first) {
-                graph.connect(last, first, gap.way);
+                graph.connect(last, first, gap.path_length);
             }
         }
         for constraint in state.constraints.iter().filter(|c| c.is_loop_closure()) {
@@ -130,7 +131,7 @@ fn connect(neighbours: &mut Neighbours, (a, b): (SubmapId, SubmapId), length: f6
 /// Lengths of the shortest paths from one submap over the neighbours of all of these, up to `longest`.
 fn shortest(start: SubmapId, neighbours: &[&Neighbours], longest: f64) -> BTreeMap<SubmapId, f64> {
     let next_to = |at: SubmapId| neighbours.iter().filter_map(move |n| n.get(&at)).flatten();
-    shortest_ways(start, longest, |at| next_to(at).map(|(next, length)| (*next, *length)))
+    shortest_paths(start, longest, |at| next_to(at).map(|(next, length)| (*next, *length)))
 }
 
 #[cfg(test)]
@@ -139,7 +140,7 @@ mod tests {
     use crate::TrajectoryId;
 
     #[test]
-    fn loop_closures_are_short_cuts() {
+    fn loop_closures_shorten_paths() {
         let id = |trajectory: u32, index: u32| SubmapId::new(TrajectoryId(trajectory), index);
         let mut graph = TravelGraph::default();
         for i in 0..10 {

@@ -67,19 +67,19 @@ impl TrimmedNodes {
     /// The nodes of a trajectory at their present poses, where other nodes are at the poses in `kept`.
     pub fn of(&self, id: TrajectoryId, kept: &BTreeMap<NodeId, Node>) -> BTreeMap<NodeId, TrimmedNode> {
         // The anchor of a node was removed later or still exists.
-        let mut lie: BTreeMap<NodeId, TrimmedNode> = BTreeMap::new();
+        let mut poses: BTreeMap<NodeId, TrimmedNode> = BTreeMap::new();
         let records: Vec<Record> = self.nodes.iter().collect();
         for (index, Record(id, node, anchor)) in records.into_iter().enumerate().rev() {
             let with_anchor = anchor.and_then(|anchor| {
                 let known = kept.get(&anchor.node).map(|node| node.map_from_tracking);
-                let gone = || lie.get(&anchor.node).map(|node| node.map_from_tracking);
+                let gone = || poses.get(&anchor.node).map(|node| node.map_from_tracking);
                 Some(known.or_else(gone)? * anchor.anchor_from_tracking)
             });
             let by_anchor = with_anchor.map(|map_from_tracking| TrimmedNode { map_from_tracking, ..node });
-            lie.extend(self.moved(index, id, node).map(|moved| (id, by_anchor.unwrap_or(moved))));
+            poses.extend(self.moved(index, id, node).map(|moved| (id, by_anchor.unwrap_or(moved))));
         }
-        lie.retain(|of, _| of.trajectory_id == id);
-        lie
+        poses.retain(|of, _| of.trajectory_id == id);
+        poses
     }
 
     /// A node at its present pose.
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn removed_nodes_follow_what_they_are_anchored_at() {
+    fn removed_nodes_move_with_their_anchors() {
         let mut trimmed = TrimmedNodes::default();
         let id = |index| NodeId::new(TrajectoryId(0), index);
         let at = |x| TrimmedNode {
@@ -178,8 +178,8 @@ mod tests {
         let node = crate::made_rooms::node((9.0, 7.0), (0.0, 0.0));
         let map_from_tracking = Rigid3::translation(20.0, 0.0, 0.0);
         let kept = [(id(2), Node { data: std::sync::Arc::new(node), map_from_tracking })].into();
-        let lie = trimmed.of(TrajectoryId(0), &kept);
-        let x: Vec<f64> = lie.values().map(|node| node.map_from_tracking.translation.x).collect();
+        let poses = trimmed.of(TrajectoryId(0), &kept);
+        let x: Vec<f64> = poses.values().map(|node| node.map_from_tracking.translation.x).collect();
         assert_eq!(x, [19.5, 19.0]);
     }
 }

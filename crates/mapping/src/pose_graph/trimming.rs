@@ -204,11 +204,11 @@ impl<S: Space> PoseGraph<S> {
         self.remember_ties(&entry.node_ids, |c| c.submap_id == id || orphans.contains(&c.node_id));
         let mut weakened: BTreeSet<SubmapId> = BTreeSet::new();
         self.state.constraints.retain(|c| {
-            let goes = c.submap_id == id || orphans.contains(&c.node_id);
-            if goes && c.submap_id != id {
+            let is_removed = c.submap_id == id || orphans.contains(&c.node_id);
+            if is_removed && c.submap_id != id {
                 weakened.insert(c.submap_id);
             }
-            !goes
+            !is_removed
         });
         for constraint in self.state.constraints.iter().filter(|c| c.is_loop_closure()) {
             weakened.remove(&constraint.submap_id);
@@ -231,7 +231,7 @@ impl<S: Space> PoseGraph<S> {
                 Remains::Anchored => self.anchor(&map_from_tracking),
             };
             self.state.trimmed_nodes.add(id, trimmed, anchor);
-            self.ways.remove(&id);
+            self.path_lengths.remove(&id);
             self.open_nodes.forget(id);
             self.problem.trim_node(id);
         }
@@ -250,10 +250,10 @@ impl<S: Space> PoseGraph<S> {
     }
 
     /// Counts the loop closures between trajectories that are removed together with a submap of these nodes.
-    fn remember_ties(&mut self, of_submap: &BTreeSet<NodeId>, goes: impl Fn(&Constraint) -> bool) {
+    fn remember_ties(&mut self, of_submap: &BTreeSet<NodeId>, is_removed: impl Fn(&Constraint) -> bool) {
         let submap_since = of_submap.iter().find_map(|id| self.state.nodes.get(id)).map(|n| n.data.time);
         let GraphState { constraints, nodes, trimmed_ties, .. } = &mut self.state;
-        for c in constraints.iter().filter(|c| goes(c)) {
+        for c in constraints.iter().filter(|c| is_removed(c)) {
             let (of_node, of_submap) = (c.node_id.trajectory_id, c.submap_id.trajectory_id);
             if of_node == of_submap {
                 continue;

@@ -12,14 +12,14 @@ pub(crate) trait Branching {
 
     /// Passes on all boxes of the search that may hold something better than `best`. Boxes of one placement
     /// are offered to `best` instead.
-    fn roots(&mut self, best: &mut Best<Self::Placement>, hand_on: &mut dyn FnMut(Node<Self::Placement>));
+    fn roots(&mut self, best: &mut Best<Self::Placement>, emit: &mut dyn FnMut(Node<Self::Placement>));
 
     /// Does the same with the parts of a box.
     fn split(
         &mut self,
         node: &Node<Self::Placement>,
         best: &mut Best<Self::Placement>,
-        hand_on: &mut dyn FnMut(Node<Self::Placement>),
+        emit: &mut dyn FnMut(Node<Self::Placement>),
     );
 }
 

@@ -229,7 +229,7 @@ impl FastCorrelativeMatcher3d {
         self.extent.div_ceil(2) as i32 + (range + 0.5).round().min(MAX_SHIFT as f32) as i32
     }
 
-    #[allow(clippy::too_many_arguments)] // several ways in, one search
+    #[allow(clippy::too_many_arguments)] // several entry points, one search
     fn search(
         &self,
         map_from_node: &Rigid3,

@@ -64,7 +64,7 @@ pub(crate) enum ShiftBounds {
 #[derive(Clone, Debug)]
 struct Segment {
     points: Range<usize>,
-    /// Cells by which a point may lie off its cell in the middle scan, to either side.
+    /// Cells by which a point may be off its cell in the middle scan, to either side.
     smear: i32,
     /// Level of the pyramid whose windows are wide enough for smear and shifts.
     level: usize,
@@ -157,7 +157,7 @@ impl<'a, O: Objective> JointSearch<'a, O> {
         exponent: u32,
         end: [i32; 2],
         best: &mut Best,
-        hand_on: &mut dyn FnMut(Node<Placement>),
+        emit: &mut dyn FnMut(Node<Placement>),
     ) {
         let width = self.num_shifts(exponent);
         let last_scan = (first.scan + (1i32 << exponent)).min(self.window.num_scans()) - 1;
@@ -179,7 +179,7 @@ impl<'a, O: Objective> JointSearch<'a, O> {
             if best.is_promising(bound) {
                 match exponent {
                     0 => self.score_leaf(&region, sum, best),
-                    _ => hand_on(Node { bound, exponent, first: region.first }),
+                    _ => emit(Node { bound, exponent, first: region.first }),
                 }
             }
         }
@@ -239,7 +239,7 @@ impl<'a, O: Objective> JointSearch<'a, O> {
 impl<O: Objective> Branching for JointSearch<'_, O> {
     type Placement = Placement;
 
-    fn roots(&mut self, best: &mut Best, hand_on: &mut dyn FnMut(Node<Placement>)) {
+    fn roots(&mut self, best: &mut Best, emit: &mut dyn FnMut(Node<Placement>)) {
         let exponent = self.segments.len() as u32 - 1;
         let width = self.num_shifts(exponent) as usize;
         for scan in (0..self.window.num_scans()).step_by(1 << exponent) {
@@ -247,19 +247,19 @@ impl<O: Objective> Branching for JointSearch<'_, O> {
             for x in x_range.clone().step_by(2 * width) {
                 for y in y_range.clone().step_by(2 * width) {
                     let first = Placement { scan, x, y };
-                    self.for_four_boxes(first, exponent, [x_range.end, y_range.end], best, hand_on);
+                    self.for_four_boxes(first, exponent, [x_range.end, y_range.end], best, emit);
                 }
             }
         }
     }
 
     /// Splits a box along all axes.
-    fn split(&mut self, node: &Node<Placement>, best: &mut Best, hand_on: &mut dyn FnMut(Node<Placement>)) {
+    fn split(&mut self, node: &Node<Placement>, best: &mut Best, emit: &mut dyn FnMut(Node<Placement>)) {
         let exponent = node.exponent - 1;
         let end = [node.first.x, node.first.y].map(|first| self.end_of_window(first, node.exponent));
         for scan in [node.first.scan, node.first.scan + (1i32 << exponent)] {
             if scan < self.window.num_scans() {
-                self.for_four_boxes(Placement { scan, ..node.first }, exponent, end, best, hand_on);
+                self.for_four_boxes(Placement { scan, ..node.first }, exponent, end, best, emit);
             }
         }
     }

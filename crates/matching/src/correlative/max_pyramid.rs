@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn sums_are_sums() {
+    fn byte_sums_equal_their_definition() {
         let bytes: Vec<u8> = (0..60).collect();
         let pyramid = MaxPyramid::new(&bytes, 10, 6, 2, 0);
         let cells = [[0, 0], [3, 4], [-7, 2], [9, 5], [100, -100]];

@@ -69,7 +69,7 @@ impl RealTimeCorrelativeMatcher2d {
 
     /// Limits the fraction, 0 to 1, by which the offset from the initial pose may lower a score: the factor
     /// becomes `1 − largest (1 − exp(−(‖translation‖ w_t + |angle| w_r)²))`. With large weights and a small
-    /// limit the result stays at the initial pose where the grid does not constrain it, as along a corridor,
+    /// limit the result is kept at the initial pose where the grid does not constrain it, as along a corridor,
     /// and leaves it at any distance where the grid does.
     #[must_use]
     pub fn with_largest_penalty(self, largest: f64) -> Self {
@@ -175,7 +175,7 @@ impl Penalty {
         let angle = self.window.angle(placement.scan);
         let near =
             (-(x.hypot(y) * self.translation_weight + angle.abs() * self.rotation_weight).powi(2)).exp();
-        // The plain case apart, so that it stays exact.
+        // The plain case apart, so that it remains exact.
         if self.largest < 1.0 { 1.0 - self.largest * (1.0 - near) } else { near }
     }
 

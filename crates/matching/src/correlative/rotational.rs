@@ -109,7 +109,7 @@ fn add_value(mut angle: f32, value: f32, histogram: &mut [f32]) {
     histogram[(bucket.max(0) as usize).min(last)] += value;
 }
 
-/// The histogram of a cloud rotated by `angle` radians, interpolated between buckets. An empty one stays
+/// The histogram of a cloud rotated by `angle` radians, interpolated between buckets. An empty one remains
 /// empty.
 pub fn rotate_histogram(histogram: &[f32], angle: f32) -> Vec<f32> {
     let n = histogram.len();
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_to_compare_is_no_difference() {
+    fn empty_histograms_are_similar() {
         assert_eq!(histogram_similarity(&[0.0; 10], &[0.0; 10]), 1.0);
         assert_eq!(histogram_similarity(&[], &[]), 1.0);
         assert_eq!(histogram_similarity(&[f32::NAN, 1.0], &[1.0, 1.0]), 1.0);

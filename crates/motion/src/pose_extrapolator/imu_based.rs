@@ -133,13 +133,13 @@ impl ImuBasedExtrapolator {
     /// silent.
     pub fn extrapolate(&mut self, time: Time) -> Option<Prediction> {
         let (newest_time, newest) = self.poses.back().copied()?;
-        let stays = Prediction {
+        let resting = Prediction {
             time,
             local_from_tracking: newest,
             gravity_from_tracking: self.gravity_from_local.rotation * newest.rotation,
         };
         if self.poses.len() < 3 || time.seconds_since(newest_time) < SAME_TIME {
-            return Some(stays);
+            return Some(resting);
         }
         self.fit(time)
     }

@@ -28,7 +28,7 @@ fn is_near(a: &Rigid3, b: &Rigid3, metres: f64, radians: f64) -> bool {
 }
 
 #[test]
-fn without_odometry_the_velocity_of_poses_goes_on() {
+fn without_odometry_the_velocity_of_poses_continues() {
     let along = |x: f64| Rigid3::translation(x, 0.0, 0.0);
     let mut extrapolator = PoseExtrapolator::new(0.001, 10.0, true);
     for i in 0..3 {
@@ -40,7 +40,7 @@ fn without_odometry_the_velocity_of_poses_goes_on() {
     let mut without = extrapolator.without_odometry();
     assert!(extrapolator.has_odometry(at(0.3)) && !without.has_odometry(at(0.3)));
     assert!(is_near(&extrapolator.extrapolate_pose(at(0.3)), &along(2.0), 1e-6, 1e-6), "wheels stand");
-    assert!(is_near(&without.extrapolate_pose(at(0.3)), &along(3.0), 1e-6, 1e-6), "poses go on");
+    assert!(is_near(&without.extrapolate_pose(at(0.3)), &along(3.0), 1e-6, 1e-6), "poses continue");
 }
 
 /// The golden run of `vectors.md` §9: the prediction at the end of each of four steps, the gravity
@@ -118,7 +118,7 @@ fn without_a_pose_there_is_no_prediction() {
 }
 
 #[test]
-fn the_past_is_counted_and_survived() {
+fn old_data_is_counted_and_rejected() {
     for use_all_odometry in [false, true] {
         let mut extrapolator = PoseExtrapolator::new(0.1, 0.1, use_all_odometry);
         let pose = pose_2d(1.0, 2.0, 0.3);
@@ -141,7 +141,7 @@ fn the_past_is_counted_and_survived() {
 }
 
 #[test]
-fn an_imu_says_where_up_is() {
+fn an_imu_measures_the_vertical() {
     let acceleration = [1.6, 2.0, 8.0];
     let expected = rotation_between(&Vector3::from(acceleration), &Vector3::z());
     let mut extrapolator =
@@ -156,7 +156,7 @@ fn an_imu_says_where_up_is() {
 }
 
 #[test]
-fn constant_velocity_goes_on() {
+fn constant_velocity_continues() {
     for use_all_odometry in [false, true] {
         let mut extrapolator = PoseExtrapolator::new(0.5, 0.1, use_all_odometry);
         let mut pose = Rigid3::identity();
@@ -183,7 +183,7 @@ fn constant_velocity_goes_on() {
 }
 
 #[test]
-fn a_gyroscope_says_how_far_it_turned() {
+fn a_gyroscope_measures_rotations() {
     for use_all_odometry in [false, true] {
         let at_rest = imu(0.0, [0.0, 0.0, 9.8], [0.0; 3]);
         let mut extrapolator = PoseExtrapolator::from_imu(0.5, 0.1, use_all_odometry, &at_rest).unwrap();
@@ -267,7 +267,7 @@ mod all_odometry {
     }
 
     #[test]
-    fn odometry_as_seldom_as_scans_is_enough() {
+    fn odometry_at_the_rate_of_scans_is_enough() {
         let (distance, angle) = largest_errors(true, Some(0.2), false, UNCHANGED);
         assert!(distance < 1e-6 && angle < 1e-6, "{distance} {angle}");
         // Cartographer predicts a straight line.
@@ -297,7 +297,7 @@ mod all_odometry {
     }
 
     #[test]
-    fn without_measurements_an_arc_goes_on() {
+    fn without_measurements_an_arc_continues() {
         let quarter = ScrewMotion::to(&pose_2d(0.5, 0.5, std::f64::consts::FRAC_PI_2));
         let circle = |time: f64| quarter.fraction(time);
         let mut extrapolator = PoseExtrapolator::new(0.001, 10.0, true);
@@ -314,14 +314,14 @@ mod all_odometry {
     }
 
     #[test]
-    fn odometry_that_starts_anew_is_noticed() {
+    fn a_reset_of_odometry_is_detected() {
         let reset = |time: f64, pose: Rigid3| if time < 1.5 { pose } else { pose_2d(5.0, -3.0, 2.0) * pose };
         let (distance, angle) = largest_errors(true, Some(0.02), false, reset);
         assert!(distance < 0.05 && angle < 0.1, "{distance} {angle}");
     }
 
     #[test]
-    fn odometry_that_stops_is_given_up() {
+    fn odometry_that_stops_is_no_longer_used() {
         let mut extrapolator = PoseExtrapolator::new(0.001, 10.0, true);
         for scan in 0..20 {
             let time = 0.2 * f64::from(scan);
@@ -335,7 +335,7 @@ mod all_odometry {
     }
 
     #[test]
-    fn a_gyroscope_that_stops_is_given_up() {
+    fn a_gyroscope_that_stops_is_no_longer_used() {
         let mut extrapolator = PoseExtrapolator::new(0.001, 10.0, true);
         for tick in 0..100 {
             let time = 0.02 * f64::from(tick);
@@ -368,7 +368,7 @@ mod all_odometry {
 
 proptest! {
     #[test]
-    fn nothing_makes_it_panic_or_lose_its_pose(
+    fn any_sequence_of_calls_keeps_a_valid_pose(
         use_all_odometry: bool,
         calls in prop::collection::vec(
             (0..5usize, prop_oneof![-3.0..3.0f64, Just(f64::NAN), Just(1e300), Just(-1e15)], prop::array::uniform3(-9.0..9.0f64)),
@@ -393,7 +393,7 @@ proptest! {
 }
 
 #[test]
-fn an_imu_that_falls_silent_does_not_stop_the_robot() {
+fn prediction_continues_after_the_imu_stops() {
     let settings = ImuBasedSettings::default();
     let mut extrapolator = PoseExtrapolator::new(0.001, 10.0, false).with_imu_based(&settings);
     for i in 0..=100 {
@@ -415,7 +415,7 @@ fn an_imu_that_falls_silent_does_not_stop_the_robot() {
 }
 
 #[test]
-fn readings_far_apart_tell_the_way_and_not_the_motion() {
+fn sparse_readings_measure_the_distance_and_not_the_motion() {
     let along = |x: f64| Rigid3::translation(x, 0.0, 0.0);
     let drive = |readings: &[f64]| {
         let mut extrapolator = PoseExtrapolator::new(0.1, 10.0, true);
@@ -427,15 +427,18 @@ fn readings_far_apart_tell_the_way_and_not_the_motion() {
             extrapolator.add_odometry(&odometry(*t, along(0.5 * t))).unwrap();
         }
         let predicted = extrapolator.extrapolate_pose(at(1.2)).translation.x;
-        let told = extrapolator.between_readings(at(1.2)).map(|pose| pose.translation.x);
-        (extrapolator.measured_since_last_pose(at(1.2)), predicted, told)
+        let interpolated = extrapolator.between_readings(at(1.2)).map(|pose| pose.translation.x);
+        (extrapolator.measured_since_last_pose(at(1.2)), predicted, interpolated)
     };
     let near = |found: f64, wanted: f64| (found - wanted).abs() < 1e-9;
-    let (is_measured, predicted, told) = drive(&[0.9, 1.1, 1.3]);
-    assert!(is_measured && near(predicted, 0.3) && told.is_none(), "{predicted} {told:?}");
-    let (is_measured, predicted, told) = drive(&[0.5, 1.5]);
-    assert!(!is_measured && near(predicted, 0.4) && near(told.unwrap(), 0.3), "{predicted} {told:?}");
+    let (is_measured, predicted, interpolated) = drive(&[0.9, 1.1, 1.3]);
+    assert!(is_measured && near(predicted, 0.3) && interpolated.is_none(), "{predicted} {interpolated:?}");
+    let (is_measured, predicted, interpolated) = drive(&[0.5, 1.5]);
+    assert!(
+        !is_measured && near(predicted, 0.4) && near(interpolated.unwrap(), 0.3),
+        "{predicted} {interpolated:?}"
+    );
     // Data before the last pose does not determine the motion after it.
-    let (is_measured, predicted, told) = drive(&[0.8, 0.9]);
-    assert!(!is_measured && near(predicted, 0.4) && told.is_none(), "{predicted} {told:?}");
+    let (is_measured, predicted, interpolated) = drive(&[0.8, 0.9]);
+    assert!(!is_measured && near(predicted, 0.4) && interpolated.is_none(), "{predicted} {interpolated:?}");
 }

@@ -52,7 +52,7 @@ fn frame(data: &OptimizationData) -> Option<FixedFrame> {
 }
 
 #[test]
-fn the_heading_of_the_frame_is_found_and_fixes_count_as_they_scatter() {
+fn the_frame_heading_is_estimated_and_fixes_are_weighted_by_scatter() {
     let jump = |k: u32| if (50..60).contains(&k) { 30.0 } else { 0.0 };
     let of = |size: f64| frame(&drive(|k| noise(k).map(|n| size * n + jump(k)))).unwrap();
     let (poor, good) = (of(4.0), of(0.05));
@@ -67,7 +67,7 @@ fn the_heading_of_the_frame_is_found_and_fixes_count_as_they_scatter() {
 }
 
 #[test]
-fn slow_errors_count_as_those_of_a_few_fixes() {
+fn slowly_varying_errors_count_as_those_of_a_few_fixes() {
     let slow = |k: u32| {
         let knot = |k: u32| noise(k / 40);
         let share = f64::from(k % 40) / 40.0;
@@ -79,7 +79,7 @@ fn slow_errors_count_as_those_of_a_few_fixes() {
 }
 
 #[test]
-fn fixes_that_contradict_the_map_are_not_believed() {
+fn fixes_that_contradict_the_map_are_rejected() {
     let frozen = drive(|_| [0.0; 2]);
     let mut repeated = frozen.clone();
     let fixes = &mut repeated.sensors_mut(ID).fixed_frame;
@@ -95,7 +95,7 @@ fn fixes_that_contradict_the_map_are_not_believed() {
 }
 
 #[test]
-fn cartographer_believes_fixes_as_they_are() {
+fn the_cartographer_policy_uses_all_fixes() {
     let data =
         OptimizationData { sensor_policy: SensorPolicy::default(), ..drive(|k| noise(k).map(|n| 4.0 * n)) };
     let found = frame(&data).unwrap();

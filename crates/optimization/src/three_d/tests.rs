@@ -130,7 +130,7 @@ fn without_an_imu_local_slam_ties_the_nodes() {
 }
 
 #[test]
-fn heights_stay_if_they_are_fixed() {
+fn fixed_heights_do_not_change() {
     let (mut data, constraints) = golden();
     let options = OptimizationProblemOptions { fix_z_in_3d: true, ..Default::default() };
     let summary = optimize_3d(&mut data, &constraints, &options);
@@ -143,7 +143,7 @@ fn heights_stay_if_they_are_fixed() {
 }
 
 #[test]
-fn frozen_trajectories_stay() {
+fn frozen_trajectories_do_not_move() {
     let (mut data, constraints) = golden();
     data.frozen.insert(TRAJECTORY);
     let before = data.clone();
@@ -154,7 +154,7 @@ fn frozen_trajectories_stay() {
 
 /// A straight drive with fixes whose heights are off by metres, with and without the prior on the start.
 #[test]
-fn fixes_along_a_straight_way_do_not_roll_the_map() {
+fn fixes_along_a_straight_path_do_not_roll_the_map() {
     let roll_of = |corrects: bool| {
         let mut data = OptimizationData {
             sensor_policy: SensorPolicy {

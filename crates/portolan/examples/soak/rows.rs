@@ -126,7 +126,7 @@ pub fn at(sorted: &[f64], share: f64) -> f64 {
     sorted.get((share * (sorted.len().max(1) - 1) as f64) as usize).copied().unwrap_or(0.0)
 }
 
-/// Processor time of the threads of this program so far, where the system tells.
+/// Processor time of the threads of this program so far, where the system reports it.
 fn cpu_seconds() -> Option<f64> {
     let threads = std::fs::read_dir("/proc/self/task").ok()?;
     let of_thread = |thread: std::fs::DirEntry| -> Option<f64> {

@@ -43,7 +43,7 @@ fn the_same_sensors_get_the_same_settings_with_and_without_a_recording() {
 }
 
 #[test]
-fn settings_follow_what_lidars_see() {
+fn settings_follow_the_resolution_and_range_of_lidars() {
     let lidar = Lidar {
         angular_resolution_radians: 0.25_f64.to_radians(),
         median_range_metres: 3.0,

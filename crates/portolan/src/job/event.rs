@@ -182,7 +182,7 @@ pub enum Remark {
 impl fmt::Display for Remark {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Chosen(notice) => write!(f, "{} {}", notice.what, notice.change),
+            Self::Chosen(notice) => write!(f, "{} {}", notice.text, notice.change),
             Self::LittleEffect { path, why } => write!(f, "{path} has little effect or none: {why}"),
             Self::KnownMapIssue { path, issue } => {
                 write!(f, "{}: repaired: {issue} ({}x)", path.display(), issue.count)

@@ -78,7 +78,7 @@ impl Journal {
         let known = std::mem::take(&mut content.known);
         let resumed = Resumed { answers: known.len(), cut_off: content.cut_off };
         let file = content.cut().map_err(|source| JobError::file(&path, source))?;
-        let writer = Mutex::new(Some(Writer::go_on(path, file, reserve)));
+        let writer = Mutex::new(Some(Writer::resume(path, file, reserve)));
         Ok((Self { answers: Arc::new(Answers { known, writer }) }, resumed))
     }
 

@@ -36,7 +36,7 @@ pub enum Place {
     /// It was found, and its scans fit the known maps there.
     Found,
     /// It was found, but too few of its scans fit the known maps there, or too few are in the area that these cover.
-    Doubtful,
+    Uncertain,
     /// The user gave the start, and nothing confirms or refutes it: the recording left the area of the known
     /// maps.
     GivenAsStart,
@@ -51,7 +51,7 @@ impl Place {
     pub fn name(self) -> &'static str {
         match self {
             Self::Found => "found",
-            Self::Doubtful => "doubtful",
+            Self::Uncertain => "doubtful",
             Self::GivenAsStart => "told",
             Self::Refuted => "refuted",
             Self::NotFound => "not_found",
@@ -106,11 +106,11 @@ impl Localisation {
         match self.agreement.is_known() {
             _ if !is_placed => Place::NotFound,
             false if is_tied && self.is_trimmed => Place::Found,
-            false if is_tied => Place::Doubtful,
+            false if is_tied => Place::Uncertain,
             false => Place::GivenAsStart,
             true if self.agreement.is_confirmed() => Place::Found,
             true if (confirmed as f64) < LEAST_CONFIRMED * places as f64 => Place::Refuted,
-            true => Place::Doubtful,
+            true => Place::Uncertain,
         }
     }
 

@@ -204,7 +204,7 @@ pub fn write_localized(
     whole()?;
     match draw_path(&localized.textures, &lines, &PictureOptions::default()) {
         Ok(picture) => write_picture(&folder.add("path.png", &mut files)?, &picture)?,
-        Err(error @ PictureError::Nothing) => remark(observe, Remark::NoPicture(error)),
+        Err(error @ PictureError::Empty) => remark(observe, Remark::NoPicture(error)),
         Err(error) => return Err(error.into()),
     }
     let report = serde_json::to_vec_pretty(&report(localized, seconds))?;

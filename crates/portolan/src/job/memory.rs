@@ -13,7 +13,7 @@ pub fn resident_and_peak_bytes() -> Option<(u64, u64)> {
 #[cfg(all(test, target_os = "linux"))]
 mod tests {
     #[test]
-    fn the_peak_is_at_least_what_is_in_use() {
+    fn peak_memory_is_at_least_the_current_use() {
         let (resident, peak) = super::resident_and_peak_bytes().unwrap();
         assert!(resident > 1 << 20 && peak >= resident);
     }

@@ -153,8 +153,8 @@ impl OutputFolder {
                 continue;
             }
             let is_input = inputs.iter().any(|input| is_same_file(input, &path));
-            let may_go = stale == Stale::Remove && !is_input && record.is_of(&path).unwrap_or(false);
-            if may_go && std::fs::remove_file(&path).is_ok() {
+            let is_removable = stale == Stale::Remove && !is_input && record.is_of(&path).unwrap_or(false);
+            if is_removable && std::fs::remove_file(&path).is_ok() {
                 state.manifest.files.remove(&name);
                 removed.push(name);
             } else {
@@ -204,8 +204,8 @@ fn foreign_files<N: AsRef<str>>(
     verb: &str,
     names: &[N],
 ) -> Result<Vec<String>, JobError> {
-    let nothing = Manifest::default();
-    let known = manifest.unwrap_or(&nothing);
+    let empty = Manifest::default();
+    let known = manifest.unwrap_or(&empty);
     let mut files = Vec::new();
     for name in names.iter().map(AsRef::as_ref).filter(|name| is_plain(name)) {
         let is_foreign = known.is_foreign(folder, name, verb);

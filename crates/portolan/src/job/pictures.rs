@@ -26,7 +26,7 @@ pub(super) fn write_pictures(
         Ok(picture) => {
             write_picture(&folder.add("map.png", &mut files)?, &picture)?;
         }
-        Err(error @ PictureError::Nothing) => remark(observe, Remark::NoPicture(error)),
+        Err(error @ PictureError::Empty) => remark(observe, Remark::NoPicture(error)),
         Err(error) => return Err(error.into()),
     }
     if observe(&Event::Drawing).is_break() {
@@ -62,7 +62,7 @@ fn draw_as_fits(
             }
             // Doubling ends: a picture of a few pixels always fits.
             Err(PaintError::TooLarge { .. }) if options.resolution < 1e6 => options.resolution *= 2.0,
-            Err(error @ PaintError::Nothing) => {
+            Err(error @ PaintError::Empty) => {
                 remark(observe, Remark::NoRosMap(error));
                 return Ok(None);
             }

@@ -18,7 +18,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn clouds_need_more_room() {
+    fn clouds_need_more_disk_space() {
         assert!(needed(1 << 30, true) > needed(1 << 30, false) && needed(0, true) == LEAST);
     }
 }

@@ -84,7 +84,7 @@ fn results(found: &LocalizedRecording, folder: &Path, run: Run) -> LocalizedReco
 }
 
 #[test]
-fn a_failing_disk_leaves_whole_files_of_localisation() {
+fn a_failing_disk_leaves_complete_files_of_localisation() {
     let _disk = whole_disk();
     let known = Known::new(2.0);
     let waiting = tempfile::tempdir().unwrap();
@@ -103,7 +103,7 @@ fn a_failing_disk_leaves_whole_files_of_localisation() {
 }
 
 #[test]
-fn a_failing_disk_leaves_the_known_map_or_the_grown_one() {
+fn a_failing_disk_leaves_the_known_or_the_extended_map() {
     if is_fast() {
         return;
     }

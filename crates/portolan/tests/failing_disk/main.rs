@@ -26,8 +26,8 @@ use portolan_worlds::two_d::Scene;
 /// All but short writes.
 const FAULTS: [Fault; 3] = [Fault::Full, Fault::Broken, Fault::BrokenOnce];
 
-/// What of a file is the same for every run: reports tell how long it took, and what a slow run leaves to be resumed is judged
-/// by tests of its own. Both, and the list of files, are whole.
+/// What of a file is the same for every run: reports contain the time it took, and what a slow run leaves to
+/// be resumed is judged by tests of its own. Both, and the list of files, are whole.
 fn compared(name: &str, bytes: Vec<u8>) -> Option<Vec<u8>> {
     match name {
         portolan::job::JOURNAL => None,
@@ -146,7 +146,7 @@ fn assert_at_least(least: u64, operations: u64) {
 }
 
 #[test]
-fn a_failing_disk_leaves_whole_files_or_those_of_before() {
+fn a_failing_disk_leaves_new_or_previous_files_complete() {
     let _disk = whole_disk();
     let contents = Contents::new(0.5);
     let everywhere = |write: fn(&Content, &Path) -> Result<(), Failure>| {
@@ -159,7 +159,7 @@ fn a_failing_disk_leaves_whole_files_or_those_of_before() {
 }
 
 #[test]
-fn a_disk_that_fails_while_mapping_leaves_whole_files_or_those_of_before() {
+fn a_disk_failing_during_mapping_leaves_new_or_previous_files_complete() {
     if is_fast() {
         return;
     }

@@ -66,7 +66,7 @@ impl Work {
 }
 
 #[test]
-fn a_failing_disk_leaves_whole_files_of_refinements() {
+fn a_failing_disk_leaves_complete_files_of_refinements() {
     let _disk = whole_disk();
     let work = Work::new();
     let write = |folder: &Path, run: Run| work.write(folder, run, false);

@@ -12,7 +12,7 @@ use portolan_atomic_file::faults::{Failure, Run, fail_everywhere, whole_disk};
 
 use crate::{FAULTS, assert_at_least, compared};
 
-/// Two scans of which the second lies elsewhere after each run.
+/// Two scans of which the second is elsewhere after each run.
 struct Work {
     scans: Scans,
     registration: [Registration; 2],
@@ -57,7 +57,7 @@ impl Work {
 }
 
 #[test]
-fn a_failing_disk_leaves_whole_files_of_registrations() {
+fn a_failing_disk_leaves_complete_files_of_registrations() {
     let _disk = whole_disk();
     let folder = tempfile::tempdir().unwrap();
     let work = Work::new(folder.path());

@@ -14,7 +14,7 @@ use crate::Content;
 const WRITTEN: Duration = Duration::from_millis(2200);
 
 #[test]
-fn a_run_whose_results_find_no_room_is_resumed() {
+fn a_run_without_disk_space_for_its_results_is_resumed() {
     if is_fast() {
         return;
     }

@@ -58,7 +58,7 @@ fn write(folder: &Path, run: Run) -> Result<(), Failure> {
 }
 
 #[test]
-fn a_failing_disk_leaves_whole_tables() {
+fn a_failing_disk_leaves_complete_tables() {
     let _disk = whole_disk();
     assert_at_least(32, fail_everywhere(&FAULTS, compared, write));
 }

@@ -1,7 +1,7 @@
-//! What tests of localisation share: a map of a simulated day, where it lies in the world, and how far off other days are
-//! found in it.
+//! What tests of localisation share: a map of a simulated day, its pose in the world, and the errors of other
+//! days found in it.
 
-#![allow(clippy::unwrap_used, clippy::panic)] // tests say what is wrong that way
+#![allow(clippy::unwrap_used, clippy::panic)] // failures of tests are panics
 
 pub mod gap;
 
@@ -35,7 +35,7 @@ impl Day for Simulation3d {
     }
 }
 
-/// A map, and where it lies in the world.
+/// A map, and its pose in the world.
 pub struct Known {
     folder: tempfile::TempDir,
     pub world_from_map: Rigid3,
@@ -84,8 +84,8 @@ impl Known {
     }
 }
 
-/// A walk through a place in 3D; another day, another way through it. In a car park the cars of another building stand
-/// in other places.
+/// A walk through a place in 3D; another day, another path through it. In a car park the cars of another
+/// building stand in other places.
 pub fn walk(scene: Scene3d, building: u64, day: u64, seconds: f64) -> Simulation3d {
     let mut options = Scenario3dOptions::new(scene, day, 1);
     options.building_seed = Some(building);

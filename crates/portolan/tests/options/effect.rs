@@ -1,4 +1,4 @@
-//! One line per option: two values, what is observed, and which way it must go.
+//! One line per option: two values, the observed quantity, and the direction of its change.
 
 use portolan::config::{Options, explain};
 
@@ -19,7 +19,7 @@ pub struct Effect {
     pub key: &'static str,
     /// Two values.
     pub values: [&'static str; 2],
-    /// Which way the observation goes from the first to the second.
+    /// Direction of the change of the observation from the first to the second value.
     pub expect: Expect,
     /// Other settings, so that the option matters.
     pub given: &'static [&'static str],
@@ -57,7 +57,7 @@ impl Effect {
     }
 }
 
-/// Checks a table; all failures are told at once.
+/// Checks a table; all failures are reported at once.
 pub fn check(base: &Options, table: &[Effect]) {
     let failures: Vec<String> = table.iter().filter_map(|effect| effect.failure(base)).collect();
     assert!(failures.is_empty(), "{} of {} options:\n{}", failures.len(), table.len(), failures.join("\n"));

@@ -51,7 +51,7 @@ fn searches(options: &Options) -> SearchCounts {
     lap(options).map.graph.search_counts()
 }
 
-/// The same lap twice, as two trajectories; the second may be told where it starts.
+/// The same lap twice, as two trajectories; the start of the second may be given.
 fn two_laps(options: &Options, is_start_given: bool) -> Map<Space2d> {
     let mut mapper = mapper::<Space2d>(options);
     let sensors = [SensorKind::Range, SensorKind::Odometry].map(sensor).into_iter().collect();
@@ -144,7 +144,7 @@ fn submap_with_misses(miss_probability: f64) -> (Submap2d, NodeData) {
     (Submap2d::clone(submap), NodeData::clone(&node.data))
 }
 
-/// Looks for a node, which is at the origin, where it is believed to be.
+/// Searches for a node, which is at the origin, at its predicted pose.
 fn find(options: &Options, guess: [f64; 3], node: &NodeData) -> Option<MatchedPose> {
     let search = &options.map_builder.pose_graph.constraint_builder;
     let submap = &submap_and_node().0;

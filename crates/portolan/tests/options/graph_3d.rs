@@ -48,7 +48,7 @@ fn searches(options: &Options) -> SearchCounts {
     lap(options).map.graph.search_counts()
 }
 
-/// The same way twice, as two trajectories; the second may be told where it starts.
+/// The same path twice, as two trajectories; the start of the second may be given.
 fn two_laps(options: &Options, is_start_given: bool) -> Map<Space3d> {
     let mut mapper = mapper::<Space3d>(options);
     let sensors: BTreeSet<SensorId> = [SensorKind::Range, SensorKind::Imu].map(sensor).into_iter().collect();

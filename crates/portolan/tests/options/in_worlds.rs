@@ -68,7 +68,7 @@ fn brightness_constrains_motion_in_a_bare_tunnel() {
     let with = mapped_tunnel_length(&options);
     // Means over cells of 0.2 m lag behind.
     assert!((1.0..1.7).contains(&with) && without < 0.2, "1.5 m: {with} m with, {without} m without");
-    // Walls that are all as bright as nobody believes say nothing.
+    // Walls that are all implausibly bright give no information.
     let threshold =
         "trajectory_builder_3d.ceres_scan_matcher.intensity_cost_function_options_0.intensity_threshold=4";
     options.set(threshold).unwrap();
@@ -101,7 +101,7 @@ fn lifted(options: &Options) -> f64 {
 }
 
 #[test]
-fn a_map_of_one_level_stays_level_whatever_satellites_say() {
+fn a_map_of_one_level_remains_level_despite_satellite_heights() {
     let mut options = base();
     for setting in [
         "optimization_problem.fixed_frame_pose_translation_weight=1e6",

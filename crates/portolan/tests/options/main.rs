@@ -1,4 +1,5 @@
-//! Every option does what it says: set to another value, what is observed goes the promised way.
+//! Every option has its documented effect: with another value the observed quantity changes in the stated
+//! direction.
 //!
 //! The tables are in the files of this folder, one line per option. The test at the end of this file holds
 //! them complete: every option of the catalogue is in a table, or is documented to have no effect.

@@ -1,6 +1,6 @@
 //! The optimisation problem, in 2D and in 3D, fed directly.
 //!
-//! Seven nodes in a row. What they are told contradicts itself: submaps say 0.5 m from node to node, local
+//! Seven nodes in a row. Their measurements contradict each other: submaps say 0.5 m from node to node, local
 //! SLAM 0.4 m and a little turn, odometry 0.6 m, the fixed frame 0.7 m; a loop closure says that the last one
 //! is elsewhere. Who weighs more wins.
 
@@ -152,7 +152,7 @@ impl Solved {
     }
 }
 
-/// Poses that are far from everything, so that the way to the solution is long and bent.
+/// Poses that are far from everything, so that the path to the solution is long and curved.
 fn scrambled(mut data: OptimizationData) -> OptimizationData {
     for (id, node) in &mut data.nodes {
         let i = f64::from(id.index);

@@ -1,4 +1,4 @@
-//! Where a robot in 3D is believed to be before its scan is matched.
+//! Predicted poses of a robot in 3D before its scan is matched.
 
 use portolan::config::Options;
 use portolan::geometry::{Rigid3, rotation_angle};

@@ -26,7 +26,7 @@ fn submap_and_node() -> &'static (Submap3d, NodeData) {
     })
 }
 
-/// Looks for the node where it is believed to be, this far from where it is.
+/// Searches for the node at its predicted pose, at this distance from the true one.
 fn find(options: &Options, offset: Rigid3) -> Option<MatchedPose> {
     let search = &options.map_builder.pose_graph.constraint_builder;
     let (submap, node) = submap_and_node();

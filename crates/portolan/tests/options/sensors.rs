@@ -283,7 +283,7 @@ fn options_of_sensors_have_their_effects() {
 }
 
 #[test]
-fn single_settings_change_what_is_read_without_a_configuration() {
+fn single_settings_apply_without_a_configuration() {
     let measured = |settings: &[&str]| {
         let settings = settings.iter().map(|s| (*s).to_owned()).collect();
         read(&recording(true), &RequestedOptions { configuration: None, settings }).0

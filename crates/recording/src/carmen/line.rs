@@ -70,7 +70,7 @@ pub(crate) struct LineTimes<'a> {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Line<'a> {
     /// Empty or a comment.
-    Nothing,
+    Empty,
     /// A parameter of the robot.
     Param { name: &'a str, value: &'a str },
     /// Pose of the robot from its wheel odometry.
@@ -87,9 +87,9 @@ pub(crate) enum Line<'a> {
 pub(crate) fn parse_line(line: &[u8], with_ranges: bool) -> Line<'_> {
     let Ok(text) = std::str::from_utf8(line) else { return Line::Bad };
     let mut tokens = text.split_ascii_whitespace();
-    let Some(name) = tokens.next() else { return Line::Nothing };
+    let Some(name) = tokens.next() else { return Line::Empty };
     if name.starts_with('#') {
-        return Line::Nothing;
+        return Line::Empty;
     }
     let parsed = match name {
         "PARAM" => parse_param(tokens),
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_is_bad_and_other_messages_are_not_used() {
+    fn invalid_lines_are_bad_and_other_messages_are_not_used() {
         for line in [
             &b"FLASER 180 1.0 2.0"[..],
             b"FLASER -3 1.0",
@@ -240,8 +240,8 @@ mod tests {
             assert_eq!(parse_line(line, true), Line::Bad, "{line:?}");
         }
         assert_eq!(parse_line(b"TRUEPOS 1 2 3 4 5 6 7 h 8", true), Line::Unused("TRUEPOS"));
-        assert_eq!(parse_line(b"# comment", true), Line::Nothing);
-        assert_eq!(parse_line(b"  ", true), Line::Nothing);
+        assert_eq!(parse_line(b"# comment", true), Line::Empty);
+        assert_eq!(parse_line(b"  ", true), Line::Empty);
         assert_eq!(parse_line(b"PARAM a b", true), Line::Param { name: "a", value: "b" });
     }
 }

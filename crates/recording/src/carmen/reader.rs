@@ -107,7 +107,7 @@ impl CarmenReader {
 impl MessageQueue {
     fn add_line(&mut self, line: &[u8]) {
         match parse_line(line, true) {
-            Line::Nothing | Line::Param { .. } => {}
+            Line::Empty | Line::Param { .. } => {}
             Line::Bad => self.issues.add(IssueKind::UnreadableLine),
             Line::Unused(name) => {
                 if self.unused.len() < MAX_UNUSED_KINDS {

@@ -63,7 +63,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn ties_go_by_rank() {
+    fn ties_are_ordered_by_rank() {
         let mut reorder = Reorder::default();
         assert!(!reorder.push(Time::from_ticks(5), 1, 9, 'b'));
         assert!(!reorder.push(Time::from_ticks(5), 0, 9, 'a'));
@@ -75,7 +75,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn nothing_is_lost_and_time_never_goes_back(seconds in prop::collection::vec(-40i64..4000, 1..6000)) {
+        fn no_line_is_lost_and_times_ascend(seconds in prop::collection::vec(-40i64..4000, 1..6000)) {
             let mut reorder = Reorder::default();
             let mut out = Vec::new();
             for s in &seconds {

@@ -282,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn the_mounting_comes_from_poses_parameters_or_nothing() {
+    fn the_mounting_comes_from_poses_or_parameters_if_any() {
         let scan = |laser: &str, robot: &str, t: u32| format!("FLASER 1 1.0 {laser} {robot} {t}.0 h {t}.0\n");
         let steady = scan("0.3 0 0", "0.1 0 0", 1) + &scan("1.0 1.2 1.570796", "1.0 1.0 1.570796", 2);
         let mounting = survey(&steady).mounting(LaserKind::Front).unwrap();

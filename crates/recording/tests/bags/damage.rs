@@ -47,7 +47,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
     #[test]
-    fn truncated_recordings_give_what_is_whole(which in 0..FORMATS.len(), share in 0.0..1.0f64) {
+    fn truncated_recordings_give_their_complete_messages(which in 0..FORMATS.len(), share in 0.0..1.0f64) {
         let data = &RECORDINGS.1[which];
         let length = (data.len() as f64 * share) as usize;
         if let Some((messages, issues)) = survive(data[..length].to_vec()) {
@@ -194,13 +194,13 @@ fn wrong_sizes_do_not_take_memory() {
         assert!(messages.is_empty());
         assert!(issues.iter().any(|issue| issue.lost_data()), "{issues:?}");
         if let (Some(before), Some(after)) = (before, peak_kib()) {
-            // Other tests run at the same time; a believed size would show as hundreds of megabytes.
+            // Other tests run at the same time; a trusted size would show as hundreds of megabytes.
             assert!(after < before + (256 << 10), "{before} KiB became {after} KiB");
         }
     }
 }
 
-/// Peak memory of this process, where the system tells.
+/// Peak memory of this process, where the system reports it.
 fn peak_kib() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;

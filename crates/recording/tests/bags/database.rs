@@ -131,7 +131,7 @@ fn survive(path: &Path) -> Option<(usize, Vec<Issue>)> {
 }
 
 #[test]
-fn a_database_that_was_cut_off_gives_what_is_left() {
+fn a_truncated_database_gives_its_remaining_messages() {
     let folder = tempfile::tempdir().unwrap();
     let messages = recorded(60);
     let path = folder.path().join("whole.db3");

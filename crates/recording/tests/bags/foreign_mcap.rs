@@ -16,7 +16,7 @@ fn by_the_library(data: &[u8]) -> Vec<mcap::Message<'_>> {
 }
 
 #[test]
-fn another_library_reads_what_we_write() {
+fn another_library_reads_our_files() {
     let messages = recorded(200);
     for compression in [McapCompression::None, McapCompression::Lz4, McapCompression::Zstd] {
         let data = bytes(RecordingFormat::Mcap(compression), &messages);

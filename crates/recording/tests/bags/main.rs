@@ -1,6 +1,6 @@
 //! Bags of ROS 1 and ROS 2: round trips, other people's files, damage.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)] // tests say what is wrong that way
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)] // failures of tests are panics
 
 mod damage;
 mod database;

@@ -122,7 +122,7 @@ fn the_extension_chooses_the_format_and_content_recognises_it() {
 }
 
 #[test]
-fn an_unfinished_recording_leaves_nothing_behind() {
+fn an_unfinished_recording_leaves_no_file() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["a.bag", "a.mcap"] {
         let mut writer = create(folder.path().join(name), None).unwrap();

@@ -192,7 +192,7 @@ pub fn read_all(recording: &dyn Recording) -> (Vec<RecordedMessage>, Vec<Issue>)
     (messages, reader.issues())
 }
 
-/// Compares messages one by one, so that a difference is told readably.
+/// Compares messages one by one, so that a difference is reported readably.
 pub fn assert_same(found: &[RecordedMessage], expected: &[RecordedMessage]) {
     for (number, (found, expected)) in found.iter().zip(expected).enumerate() {
         assert_eq!(found.topic, expected.topic, "message {number}");

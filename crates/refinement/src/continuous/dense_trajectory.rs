@@ -298,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn without_increments_the_input_comes_back() {
+    fn zero_increments_return_the_input() {
         let trajectory = DenseTrajectory::new(&poses()).unwrap();
         for (time, pose) in poses() {
             let back = trajectory.corrected(time, &pose);

@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn where_a_result_is_refused_the_motion_of_the_input_stays() {
+    fn a_refused_result_keeps_the_motion_of_the_input() {
         let mut trajectory = straight(30);
         let wave = |t: f64| Rigid3::translation(0.0, 0.02 * t + 0.1 * (3.0 * t).sin(), 0.0);
         let moves: Vec<(f64, Rigid3)> = (0..=300).map(|i| 0.1 * f64::from(i)).map(|t| (t, wave(t))).collect();

@@ -36,7 +36,8 @@ const DETERMINED: f64 = 0.3;
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Mounting {
     /// Name of the comparison.
-    pub what: String,
+    #[serde(rename = "what")]
+    pub name: String,
     /// Translation, metres, axes of the tracking frame.
     pub translation: [f64; 3],
     /// Its standard deviations.
@@ -64,10 +65,10 @@ pub(crate) const NAMES: [&str; 7] = [
 ];
 
 impl Mounting {
-    pub(crate) fn new(what: &str, value: [f64; 7], deviation: [f64; 7], prior: [f64; 3]) -> Self {
+    pub(crate) fn new(name: &str, value: [f64; 7], deviation: [f64; 7], prior: [f64; 3]) -> Self {
         let three = |v: &[f64; 7], first: usize| [v[first], v[first + 1], v[first + 2]];
         Self {
-            what: what.to_owned(),
+            name: name.to_owned(),
             translation: three(&value, 0),
             translation_deviation: three(&deviation, 0),
             rotation: three(&value, 3),

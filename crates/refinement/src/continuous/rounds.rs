@@ -143,8 +143,8 @@ impl<'r, 'a, 'b> Rounds<'r, 'a, 'b> {
                 shift: done.shift,
             };
             let rounds = round as f64 + (step + 1) as f64 / STEPS as f64;
-            let go_on = self.run.record(record, progress(rounds));
-            if !go_on || (done.shift < STEPS_REST && !moved) {
+            let continues = self.run.record(record, progress(rounds));
+            if !continues || (done.shift < STEPS_REST && !moved) {
                 break;
             }
         }

@@ -41,14 +41,14 @@ impl Session<'_> {
             let words = mounting.words(significant);
             self.warn(format!(
                 "wrong extrinsics or clock? {} seems to be {words} against {}; --calibrate would correct it",
-                name(&mounting.what),
+                name(&mounting.name),
                 name(self.sensor_names.first().map_or("", |n| n))
             ));
         }
         if calibrated && !mounting.undetermined.is_empty() {
             self.warn(format!(
                 "the motion does not determine the calibration of {}: {}; do not rely on that",
-                name(&mounting.what),
+                name(&mounting.name),
                 mounting.undetermined.join(", ")
             ));
         }

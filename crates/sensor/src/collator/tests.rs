@@ -190,7 +190,7 @@ fn a_silent_sensor_delays_but_does_not_block() {
 }
 
 #[test]
-fn standing_clocks_fill_a_queue_only_so_far() {
+fn a_stopped_clock_fills_a_queue_up_to_its_limit() {
     let options = CollatorOptions {
         wait_limit: Some(WaitLimit { queued_items: 50, ..Default::default() }),
         ..Default::default()
@@ -253,7 +253,7 @@ fn a_second_recording_may_be_older() {
 
 proptest! {
     #[test]
-    fn output_is_ordered_and_nothing_is_lost_unnamed(
+    fn output_is_ordered_and_all_losses_are_counted(
         data in prop::collection::vec((0..2u32, 0..3usize, -20..100i64), 0..300),
         by_trajectory: bool,
         limit in prop::option::of((0..30i64, 0..20usize)),

@@ -70,7 +70,7 @@ fn single_points_come_back_within_a_millimetre() {
 }
 
 #[test]
-fn neighbours_stay_apart() {
+fn neighbouring_points_remain_distinct() {
     let three = compress(&[[0.838, 0.0, 0.0], [0.839, 0.0, 0.0], [0.84, 0.0, 0.0]]).decompress().unwrap();
     assert!(three[0] != three[1] && three[1] != three[2] && three[0] != three[2]);
     assert_eq!(CompressedPointCloud::default().decompress().unwrap(), []);

@@ -140,7 +140,7 @@ fn unexpected_and_older_messages_are_counted() {
 
 proptest! {
     #[test]
-    fn spans_are_sorted_and_nothing_is_lost_unnamed(
+    fn spans_are_sorted_and_all_losses_are_counted(
         messages in prop::collection::vec((0..3usize, 0..400i64, 0..300i64, any::<bool>()), 0..40),
     ) {
         let sensors = ["a", "b", "c"];

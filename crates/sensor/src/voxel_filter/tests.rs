@@ -39,7 +39,7 @@ fn golden_adaptive_clouds() {
 }
 
 #[test]
-fn a_point_alone_in_its_voxel_stays() {
+fn a_single_point_in_a_voxel_is_kept() {
     let cloud = points(&[[0.0, 0.0, 0.0], [0.1, -0.1, 0.1], [0.3, -0.1, 0.0], [0.0, 0.0, 0.1]]);
     let filtered = voxel_filter(&PointCloud::new(cloud.clone()), 0.3);
     assert_eq!(filtered.len(), 2);
@@ -64,7 +64,7 @@ fn large_coordinates_have_voxels_too() {
 }
 
 #[test]
-fn times_take_no_part() {
+fn times_do_not_affect_voxels() {
     let cloud: Vec<TimedPoint> = (0..100)
         .map(|i| TimedPoint { position: Point3f::new(-100.0, 0.3, 0.4), time: -(i as f32) })
         .collect();

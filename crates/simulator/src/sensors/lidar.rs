@@ -21,7 +21,7 @@ pub struct LidarMount {
     pub z: f64,
     /// Radians to the left.
     pub yaw: f64,
-    /// Whether it hangs upside down (rolled by half a turn), so that it spins the other way.
+    /// Whether it hangs upside down (rolled by half a turn), so that it spins in the opposite direction.
     pub upside_down: bool,
 }
 
@@ -301,17 +301,17 @@ impl Lidar {
     fn range_value(&self, hit: Option<&Hit>) -> f32 {
         let options = &self.options;
         match hit {
-            Some(hit) if hit.range > options.range_max => self.nothing(),
+            Some(hit) if hit.range > options.range_max => self.no_return(),
             Some(hit) if hit.range < options.range_min => match options.no_return {
                 NoReturn::Infinity => f32::NEG_INFINITY,
                 _ => 0.0,
             },
             Some(hit) => (hit.range as f32).clamp(options.range_min as f32, options.range_max as f32),
-            None => self.nothing(),
+            None => self.no_return(),
         }
     }
 
-    fn nothing(&self) -> f32 {
+    fn no_return(&self) -> f32 {
         match self.options.no_return {
             NoReturn::Infinity => f32::INFINITY,
             NoReturn::BeyondMaximum => self.options.range_max as f32 + 1.0,

@@ -47,7 +47,7 @@ fn tight() -> SolverOptions {
 }
 
 #[test]
-fn rosenbrock_ends_in_its_valley() {
+fn rosenbrock_converges_to_its_minimum() {
     for use_nonmonotonic_steps in [false, true] {
         let options = SolverOptions { use_nonmonotonic_steps, ..tight() };
         let (x, summary) = solve_dense(&mut Residuals(rosenbrock), Vector2::new(-1.2, 1.0), &options);
@@ -90,7 +90,7 @@ fn a_linear_problem_needs_a_few_steps_and_a_flat_one_none() {
 }
 
 #[test]
-fn a_direction_without_information_stays_where_it_is() {
+fn unobservable_parameters_do_not_change() {
     let valley =
         |x: &Vector2<f64>| Some((Vector1::new(x.x + x.y - 2.0), SMatrix::<f64, 1, 2>::new(1.0, 1.0)));
     let (x, _) = solve_dense(&mut Residuals(valley), Vector2::new(5.0, 3.0), &tight());
@@ -98,7 +98,7 @@ fn a_direction_without_information_stays_where_it_is() {
 }
 
 #[test]
-fn what_cannot_be_evaluated_ends_with_the_start() {
+fn a_failed_evaluation_keeps_the_initial_value() {
     let nowhere = |_: &Vector1<f64>| None::<(Vector1<f64>, Vector1<f64>)>;
     let (x, summary) = solve_dense(&mut Residuals(nowhere), Vector1::new(1.5), &SolverOptions::default());
     assert_eq!((x[0], summary.termination), (1.5, Termination::EvaluationFailed));
@@ -130,7 +130,7 @@ fn nonmonotonic_steps_never_return_worse_than_monotonic_start() {
 }
 
 #[test]
-fn normal_equations_that_stay_indefinite_are_given_up() {
+fn persistently_indefinite_normal_equations_end_the_solution() {
     struct Indefinite;
     impl DenseProblem<1> for Indefinite {
         type State = f64;

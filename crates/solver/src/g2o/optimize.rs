@@ -14,7 +14,7 @@ use crate::{Loss, Problem, SolverOptions, Summary, VariableId};
 /// Relative difference of chi2 below which two sets of initial poses count as the same.
 const SAME_START: f64 = 1e-3;
 /// Ratio to the lowest cost above which a trial is stopped, from its second iteration on.
-const HOPELESS: f64 = 2.0;
+const MAX_COST_RATIO: f64 = 2.0;
 /// If the trial iterations lower the chi2 of the relaxed rotations to no less than this fraction, the
 /// relaxation is nearly exact. Other initial poses are not tried then: at best they would give the same
 /// result.
@@ -262,8 +262,8 @@ impl Optimizer {
         let trial = SolverOptions { max_num_iterations, ..options.solver.clone() };
         self.write(start.poses.iter().copied())?;
         let summary = self.problem.solve_with(&mut self.prepared, &trial, &mut |progress| {
-            let hopeless = progress.iteration >= 2 && progress.cost > HOPELESS * lowest;
-            if hopeless { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            let is_hopeless_trial = progress.iteration >= 2 && progress.cost > MAX_COST_RATIO * lowest;
+            if is_hopeless_trial { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         })?;
         (start.cost, start.iterations) = (summary.final_cost, summary.iterations);
         start.poses = self.read();

@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_a_pattern_too() {
+    fn an_empty_pattern_is_valid() {
         let pattern = BlockPattern::new(&[], &[]).unwrap();
         assert_eq!((pattern.size(), pattern.value_count()), (0, 0));
     }

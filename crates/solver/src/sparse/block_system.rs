@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn an_indefinite_matrix_is_told_and_the_values_survive() {
+    fn an_indefinite_matrix_is_reported_and_the_values_are_kept() {
         let mut system = system();
         let before = system.values.clone();
         assert!(!system.factorize(&vec![-20.0; system.size()]));

@@ -59,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn elimination_couples_what_a_column_is_coupled_with() {
+    fn elimination_couples_the_neighbours_of_a_column() {
         let lower: [&[u32]; 5] = [&[2, 4], &[3], &[], &[4], &[]];
         let rows = factor_rows(5, |column| lower[column]);
         assert_eq!(rows, [vec![2, 4], vec![3], vec![4], vec![4], vec![]]);

@@ -37,7 +37,7 @@ enum Kind {
     /// Eliminated; its members are coupled with each other.
     Element,
     /// Merged into another variable, absorbed by another element, or left out.
-    Gone,
+    Removed,
 }
 
 struct QuotientGraph {
@@ -69,7 +69,7 @@ impl QuotientGraph {
     fn new(mut variables: Vec<Vec<u32>>, without: &[u32]) -> Self {
         let n = variables.len();
         let mut kind = vec![Kind::Variable; n];
-        without.iter().for_each(|i| kind[*i as usize] = Kind::Gone);
+        without.iter().for_each(|i| kind[*i as usize] = Kind::Removed);
         if !without.is_empty() {
             variables.iter_mut().for_each(|list| list.retain(|i| kind[*i as usize] == Kind::Variable));
         }
@@ -137,7 +137,7 @@ impl QuotientGraph {
         take(self, &own);
         for element in elements {
             if self.kind[element as usize] == Kind::Element {
-                self.kind[element as usize] = Kind::Gone;
+                self.kind[element as usize] = Kind::Removed;
                 let members = std::mem::take(&mut self.members[element as usize]);
                 take(self, &members);
             }
@@ -172,27 +172,27 @@ impl QuotientGraph {
             let e = *element as usize;
             if self.kind[e] == Kind::Element && self.outside[e] == 0 {
                 // The pivot couples everything that this element couples: absorb it.
-                self.kind[e] = Kind::Gone;
+                self.kind[e] = Kind::Removed;
                 self.members[e] = Vec::new();
             }
-            let stays = self.kind[e] == Kind::Element;
-            if stays {
+            let is_kept = self.kind[e] == Kind::Element;
+            if is_kept {
                 degree += self.outside[e];
                 hash = hash.wrapping_add(u64::from(*element));
             }
-            stays
+            is_kept
         });
         let mut variables = std::mem::take(&mut self.variables[i as usize]);
         variables.retain(|other| {
-            let stays = self.is_variable(*other) && self.seen_by[*other as usize] != pivot;
-            if stays {
+            let is_kept = self.is_variable(*other) && self.seen_by[*other as usize] != pivot;
+            if is_kept {
                 degree += self.weight[*other as usize];
                 hash = hash.wrapping_add(u64::from(*other) << 20);
             }
-            stays
+            is_kept
         });
         if elements.is_empty() && variables.is_empty() {
-            self.kind[i as usize] = Kind::Gone;
+            self.kind[i as usize] = Kind::Removed;
             self.remaining -= own_weight;
             self.weight[pivot as usize] -= own_weight;
             self.followers[pivot as usize].push(i);
@@ -221,7 +221,7 @@ impl QuotientGraph {
                         && self.elements[a] == self.elements[b]
                         && self.variables[a] == self.variables[b]
                     {
-                        self.kind[b] = Kind::Gone;
+                        self.kind[b] = Kind::Removed;
                         self.degree[a] -= self.weight[b].min(self.degree[a]);
                         self.weight[a] += self.weight[b];
                         self.elements[b] = Vec::new();
@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_coupled_with_everything_comes_last() {
+    fn fully_coupled_variables_are_eliminated_last() {
         // A chain, and one variable that is coupled with all of it.
         let n = 400;
         let chain = (0..n - 2).map(|i| (i, i + 1));
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn pieces_apart_and_single_variables_are_eliminated_too() {
+    fn separate_components_and_single_variables_are_eliminated() {
         let order = minimum_degree(neighbours(7, &[(0, 5), (5, 2), (0, 2), (3, 6)]));
         assert!(is_permutation(&order));
         assert!(minimum_degree(Vec::new()).is_empty());

@@ -135,7 +135,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_panel_times_its_transpose_is_what_was_factorised() {
+    fn a_panel_times_its_transpose_is_the_factorised_matrix() {
         for (width, height) in [(1, 1), (3, 3), (3, 10), (6, 41), (17, 17), (33, 70), (50, 53)] {
             let mut random = Lcg64::new(7);
             let mut uniform = || (random.bits() >> 11) as f64 / (1u64 << 53) as f64 - 0.5;
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_positive_number_is_no_pivot() {
+    fn pivots_must_be_positive_numbers() {
         for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             assert!(!factorize(&mut [1.0, 0.5, 0.0, bad], 2, 2), "{bad}");
         }

@@ -27,7 +27,7 @@ pub fn check(path: &Path, input: Forward) -> Result<Vec<Finding>, CliError> {
         Finding {
             severity,
             about,
-            what: found.text,
+            text: found.text,
             count: 1,
             effect: effect.to_owned(),
             advice: advice.to_owned(),

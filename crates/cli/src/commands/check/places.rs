@@ -58,7 +58,7 @@ fn not_examined(error: &JobError) -> Finding {
     Finding {
         severity: Severity::Error,
         about: "places".to_owned(),
-        what: format!("not examined: {error}"),
+        text: format!("not examined: {error}"),
         count: 1,
         effect: "it is not known where `portolan localize` would have difficulties".to_owned(),
         advice: "check it without --places; `portolan localize` shows where it finds a recording".to_owned(),
@@ -75,13 +75,13 @@ fn difficulties(examined: &ExaminedMap) -> Vec<Finding> {
         .filter(|(kind, count)| *kind != Distinctness::Distinct && count.places > 0);
     found
         .map(|(kind, count)| {
-            let (what, effect, advice) = words(kind);
+            let (text, effect, advice) = words(kind);
             let percent = 100.0 * count.fraction_of_path;
             let places = counted(all, "place", "places");
             Finding {
                 severity: Severity::Info,
                 about: format!("{} places", kind.name()),
-                what: format!("{} of {places} ({percent:.0} % of the trajectory): {what}", count.places),
+                text: format!("{} of {places} ({percent:.0} % of the trajectory): {text}", count.places),
                 count: 1,
                 effect: effect.to_owned(),
                 advice: advice.to_owned(),

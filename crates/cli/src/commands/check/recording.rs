@@ -28,10 +28,10 @@ pub fn check(path: &Path, quiet: bool) -> Result<(Vec<Finding>, Vec<String>), Cl
     let finding = |found: portolan_diagnose::Finding| Finding {
         severity: found.severity,
         about: found.topic,
-        what: found.what,
+        text: found.text,
         count: found.count,
         effect: found.effect_on_slam,
-        advice: found.what_to_do,
+        advice: found.advice,
         repair: None,
     };
     Ok((report.findings.into_iter().map(finding).collect(), report.histograms))

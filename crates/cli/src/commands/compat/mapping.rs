@@ -140,7 +140,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_state_copied_over_itself_stays_whole() {
+    fn a_state_copied_over_itself_is_kept() {
         let folder = tempfile::tempdir().unwrap();
         let [state, other] = ["state", "other"].map(|name| folder.path().join(name));
         std::fs::write(&state, "a map").unwrap();

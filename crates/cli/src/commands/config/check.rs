@@ -8,7 +8,7 @@ use portolan_geometry::Dimension;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{counted, print};
-use crate::progress::say;
+use crate::progress::print_line;
 
 /// Report all faults of a configuration file: unknown keys with the nearest known one, wrong types, values
 /// out of bounds, options that contradict each other.
@@ -52,7 +52,7 @@ fn good<T>(
     purpose: &str,
 ) -> Result<Outcome, CliError> {
     if !global.quiet {
-        loaded.printed.iter().for_each(|line| say(line));
+        loaded.printed.iter().for_each(|line| print_line(line));
     }
     let warnings = counted(loaded.warnings.len() as u64, "warning", "warnings");
     let mut text: String = loaded.warnings.iter().map(|warning| format!("warning: {warning}\n")).collect();

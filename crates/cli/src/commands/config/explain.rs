@@ -67,11 +67,19 @@ fn search(word: &str) -> String {
             && !word.contains('.')
             && (doc.path.to_lowercase().contains(&word) || doc.doc.to_lowercase().contains(&word))
     };
-    let line = |doc: &OptionDoc| {
-        let first = doc.doc.split_inclusive(['.', ':', ';']).next().unwrap_or_default();
-        format!("{}\n    {}\n", doc.path, first.trim_end_matches([':', ';']))
-    };
+    let line = |doc: &OptionDoc| format!("{}\n    {}\n", doc.path, preview(&doc.doc));
     catalogue().iter().filter(has_word).map(line).collect()
+}
+
+/// The beginning of an explanation, up to the first '.', ':' or ';' at the end of a word; of these only a
+/// full stop is kept.
+fn preview(text: &str) -> &str {
+    let mark = text.match_indices(['.', ':', ';']).find(|(at, mark)| {
+        let rest = text.get(at + mark.len()..).unwrap_or_default();
+        rest.is_empty() || rest.starts_with(char::is_whitespace)
+    });
+    let end = mark.map_or(text.len(), |(at, mark)| if mark == "." { at + mark.len() } else { at });
+    text.get(..end).unwrap_or(text)
 }
 
 fn explanation(doc: &OptionDoc) -> Explanation<'_> {
@@ -141,5 +149,14 @@ mod tests {
     fn lines_are_broken_between_words() {
         assert_eq!(wrapped("one two  three", 7), ["one two", "three"]);
         assert_eq!(wrapped("immeasurable", 3), ["immeasurable"]);
+    }
+
+    #[test]
+    fn previews_end_at_the_first_clause_and_not_within_a_number() {
+        assert_eq!(preview("At least 0.8 of all. Others wait."), "At least 0.8 of all.");
+        assert_eq!(preview("Of `a::b`, 1;2: all"), "Of `a::b`, 1;2");
+        assert_eq!(preview("Zero is off; 0.5 m is usual."), "Zero is off");
+        assert_eq!(preview("Up to 2.5 m."), "Up to 2.5 m.");
+        assert_eq!(preview("without a mark"), "without a mark");
     }
 }

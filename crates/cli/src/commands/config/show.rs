@@ -6,7 +6,7 @@ use crate::GlobalArgs;
 use crate::commands::map::ConfigArgs as SettingArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::print;
-use crate::progress::say;
+use crate::progress::print_line;
 
 /// Print all options with their values after loading a file and applying settings.
 ///
@@ -37,8 +37,8 @@ pub struct ShowArgs {
 pub fn run(args: &ShowArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let loaded = load(args)?;
     if !global.quiet {
-        loaded.printed.iter().for_each(|line| say(line));
-        loaded.warnings.iter().for_each(|warning| say(&format!("warning: {warning}")));
+        loaded.printed.iter().for_each(|line| print_line(line));
+        loaded.warnings.iter().for_each(|warning| print_line(&format!("warning: {warning}")));
     }
     let options = &loaded.options;
     if args.lua {

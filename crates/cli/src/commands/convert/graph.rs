@@ -11,7 +11,7 @@ use super::trajectories::{NO_POSES, read_one};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{counted, outcome_of_map, print_json, print_summary, write_file};
-use crate::progress::say;
+use crate::progress::print_line;
 
 /// Writes the constraints of a map as a pose graph.
 pub fn of_map(args: &ConvertArgs) -> Result<Outcome, CliError> {
@@ -23,7 +23,7 @@ pub fn of_map(args: &ConvertArgs) -> Result<Outcome, CliError> {
         return Ok(outcome);
     }
     let lost = counted(lost as u64, "constraint", "constraints");
-    say(&format!(
+    print_line(&format!(
         "{}: {lost} to missing parts, or with impossible values, were left out",
         args.input.display()
     ));
@@ -77,7 +77,7 @@ pub fn into_map(args: &ConvertArgs, input: Forward, global: &GlobalArgs) -> Resu
     };
     let (graph, repairs) = read_g2o(input).map_err(|error| CliError::in_file(&args.input, error))?;
     if !global.quiet {
-        repairs.notes().iter().for_each(|note| say(&format!("{}: {note}", args.input.display())));
+        repairs.notes().iter().for_each(|note| print_line(&format!("{}: {note}", args.input.display())));
     }
     let mut draft = MapDraft::open(map, ReadLimits::default())?;
     draft.take_graph_poses(&graph)?;

@@ -17,7 +17,7 @@ use crate::GlobalArgs;
 use crate::commands::evaluate::input::{read_trajectory_from, report_notes};
 use crate::error::{CliError, Outcome};
 use crate::output::{counted, outcome_of_map, print_json, print_summary, write_file};
-use crate::progress::say;
+use crate::progress::print_line;
 
 /// Message for inputs without poses.
 pub const NO_POSES: &str = "there are no poses";
@@ -127,7 +127,7 @@ fn read(args: &ConvertArgs, mut input: Forward, global: &GlobalArgs) -> Result<R
         Format::Map => {
             let (graph, damage) = whole_pose_graph_from(input, path)?;
             if let Some(damage) = damage {
-                say(&format!("{}: {}", path.display(), damaged_behind_poses(&damage)));
+                print_line(&format!("{}: {}", path.display(), damaged_behind_poses(&damage)));
                 lost_data = true;
             }
             let ids: Vec<i32> = graph.trajectory.iter().map(|t| t.trajectory_id).collect();

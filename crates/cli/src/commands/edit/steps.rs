@@ -14,7 +14,7 @@ use crate::GlobalArgs;
 use crate::commands::optimize::{loop_text, optimize_draft, options, summary};
 use crate::error::{CliError, Outcome};
 use crate::output::{counted, outcome_of_map, print_json, print_summary};
-use crate::progress::say;
+use crate::progress::print_line;
 
 /// Report of all steps, for JSON.
 #[derive(Serialize)]
@@ -37,7 +37,7 @@ pub fn run(args: &EditArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
             match draft.append_aligned(path, &options(&draft, &args.loops.set)?) {
                 Ok(joined) => merged.push(reported(path, joined, global)),
                 Err(error @ EditError::NotPlaced { .. }) => {
-                    say(&format!(
+                    print_line(&format!(
                         "{error}. Nothing was written; if you know the place, say [--place X,Y,YAW]"
                     ));
                     return Ok(Outcome::Untrusted);
@@ -79,7 +79,7 @@ fn choose_parts(draft: &mut MapDraft, args: &PartArgs, global: &GlobalArgs) -> R
     for (path, pose) in args.merge.iter().zip(&args.place) {
         let ids = draft.append(path, pose)?;
         if !global.quiet {
-            say(&format!("{}: {}", path.display(), new_numbers(&ids)));
+            print_line(&format!("{}: {}", path.display(), new_numbers(&ids)));
         }
     }
     for id in args.keep.iter().chain(&args.delete) {
@@ -93,8 +93,8 @@ fn choose_parts(draft: &mut MapDraft, args: &PartArgs, global: &GlobalArgs) -> R
     }
     if draft.trajectory_ids().next().is_none() {
         return Err(match (args.keep.is_empty(), args.delete.is_empty()) {
-            (false, _) => nothing_left("--keep"),
-            (_, false) => nothing_left("--delete"),
+            (false, _) => empty_map("--keep"),
+            (_, false) => empty_map("--delete"),
             _ => CliError::Failed("the map has no trajectories: there is nothing to edit".to_owned()),
         });
     }
@@ -140,12 +140,12 @@ fn cut_time(draft: &mut MapDraft, args: &PartArgs) -> Result<(), CliError> {
 /// If nothing is left of the map, an error that names the option.
 fn naming(option: &str, error: EditError) -> CliError {
     match error {
-        EditError::Nothing => nothing_left(option),
+        EditError::Empty => empty_map(option),
         other => other.into(),
     }
 }
 
-fn nothing_left(option: &str) -> CliError {
+fn empty_map(option: &str) -> CliError {
     CliError::Failed(format!("nothing would be left of the map after {option}"))
 }
 
@@ -159,7 +159,7 @@ fn reported(path: &Path, joined: JoinedMap, global: &GlobalArgs) -> JoinedMap {
     if !global.quiet {
         let place = &joined.map_from_other;
         let (x, y) = (place.translation.x, place.translation.y);
-        say(&format!(
+        print_line(&format!(
             "{}: {}; found at {x:.3},{y:.3},{:.2}, {} between the maps; {}",
             path.display(),
             new_numbers(&joined.ids),
@@ -197,7 +197,7 @@ fn change_loops(draft: &mut MapDraft, args: &LoopArgs, global: &GlobalArgs) -> R
                 let found = draft.find_loop(new.submap, new.node, builder)?;
                 if !global.quiet {
                     let [x, y, _] = found.position;
-                    say(&format!(
+                    print_line(&format!(
                         "found node {},{} in submap {},{} at {x:.3}, {y:.3} with score {:.3}, {:.3} m and {:.2} degrees from \
                          where the map has it",
                         new.node.0,
@@ -225,7 +225,7 @@ fn fits(draft: &MapDraft, new: &LoopToAdd, pose: &Rigid3) -> Result<bool, CliErr
     let [explained, contradicted] =
         [agreement.explained, agreement.contradicted()].map(|share| 100.0 * share);
     let fits = explained > contradicted;
-    say(&format!(
+    print_line(&format!(
         "{}node {},{} in submap {},{} there: {explained:.0} % of its beams meet what the submap shows, {contradicted:.0} % contradict it",
         if fits { "" } else { "this loop closure does NOT fit: " },
         node.0,

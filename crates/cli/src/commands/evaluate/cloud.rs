@@ -15,7 +15,7 @@ use crate::GlobalArgs;
 use crate::commands::refine::points::PointArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{print, print_json};
-use crate::progress::say;
+use crate::progress::print_line;
 use input::{Clouds, JudgedCloud, read_clouds};
 use truth::{Truth, TruthArgs};
 
@@ -154,7 +154,7 @@ fn comparisons(reports: &[CloudReport], quiet: bool) -> Vec<Comparison> {
             if let (Some(a), Some(b), false) = (density(first), density(other), quiet)
                 && (a > LIKE_DENSITY * b || b > LIKE_DENSITY * a)
             {
-                say(&format!(
+                print_line(&format!(
                     "{} and {} are not equally dense ({a:.1} and {b:.1} points within the radius): entropy and \
                      thickness depend on that",
                     first.cloud, other.cloud

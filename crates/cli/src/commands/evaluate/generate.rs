@@ -15,7 +15,7 @@ use crate::commands::argument::not_negative;
 use crate::error::{CliError, Outcome};
 use crate::input::open_forward;
 use crate::output::{print_json, print_summary, write_file};
-use crate::progress::say;
+use crate::progress::print_line;
 
 /// Make relations from the loop closures of a map, to evaluate other maps of the same recording.
 ///
@@ -58,7 +58,11 @@ pub fn run(args: &GenerateArgs, global: &GlobalArgs) -> Result<Outcome, CliError
     let generated =
         generate_relations(&map, &options).map_err(|error| CliError::in_file(&args.map, error))?;
     if !global.quiet {
-        say(&format!("Writing {} relations to '{}'.", generated.relations.len(), args.output.display()));
+        print_line(&format!(
+            "Writing {} relations to '{}'.",
+            generated.relations.len(),
+            args.output.display()
+        ));
     }
     if generated.relations.is_empty() {
         tracing::warn!(
@@ -85,7 +89,7 @@ pub fn run(args: &GenerateArgs, global: &GlobalArgs) -> Result<Outcome, CliError
 pub fn read_map_graph(path: &Path) -> Result<MapGraph, CliError> {
     let (pose_graph, damage) = whole_pose_graph_from(open_forward(path)?, path)?;
     if let Some(damage) = damage {
-        say(&format!("{}: {}", path.display(), damaged_behind_poses(&damage)));
+        print_line(&format!("{}: {}", path.display(), damaged_behind_poses(&damage)));
     }
     let mut map = MapGraph::default();
     for trajectory in &pose_graph.trajectory {

@@ -9,7 +9,7 @@ use portolan_input::Forward;
 
 use crate::error::CliError;
 use crate::input::{open_forward, read_bytes};
-use crate::progress::say;
+use crate::progress::print_line;
 
 /// Reads a trajectory; reports repairs on stderr.
 pub fn read_trajectory(file: TrajectoryFile, quiet: bool) -> Result<Trajectory, CliError> {
@@ -31,7 +31,7 @@ pub fn read_trajectory_from(
 
 /// Reports repairs of a file on stderr.
 pub fn report_notes(path: &Path, notes: &[String]) {
-    notes.iter().for_each(|note| say(&format!("{}: {note}", path.display())));
+    notes.iter().for_each(|note| print_line(&format!("{}: {note}", path.display())));
 }
 
 /// Reads relations, text or binary.

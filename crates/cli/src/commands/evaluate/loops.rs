@@ -13,7 +13,7 @@ use super::input::read_trajectory;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{print, print_json, write_file};
-use crate::progress::say;
+use crate::progress::print_line;
 
 /// Maximum time difference between a loop closure and the true pose that it is compared with, seconds.
 const MAX_TIME_DIFFERENCE: f64 = 2.5;
@@ -54,7 +54,7 @@ pub fn run(args: &LoopsArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
     let judged = at_times_of(&truth, &estimate, &in_time, Duration::from_seconds(MAX_TIME_DIFFERENCE));
     let left_out = loops.len() - judged.len();
     if left_out > 0 && !global.quiet {
-        say(&format!(
+        print_line(&format!(
             "{left_out} loop closures have no true pose within {MAX_TIME_DIFFERENCE} s and are not judged"
         ));
     }
@@ -67,7 +67,7 @@ pub fn run(args: &LoopsArgs, global: &GlobalArgs) -> Result<Outcome, CliError> {
         write_file(path, |out| report.write_csv_with_times(out))?;
     }
     if let Some(notice) = notice.filter(|_| !global.quiet) {
-        say(&notice.to_string());
+        print_line(&notice.to_string());
     }
     let fraction = report.fraction_right(RIGHT_WITHIN);
     if args.json {

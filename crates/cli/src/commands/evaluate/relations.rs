@@ -11,7 +11,7 @@ use super::input::{read_relations_file, read_trajectory};
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{counted, print, print_json, write_file};
-use crate::progress::say;
+use crate::progress::print_line;
 
 /// Translational error below which a relation counts as right, metres.
 const GOOD: f64 = 0.2;
@@ -102,15 +102,15 @@ fn draw(report: &RelationReport, path: &Path) -> Result<(), CliError> {
 
 fn remark(report: &RelationReport, notice: Option<&TimeBaseNotice>) {
     if let Some(notice) = notice {
-        say(&notice.to_string());
+        print_line(&notice.to_string());
     }
     if report.outside_trajectory > 0 {
-        say(&format!(
+        print_line(&format!(
             "{} outside the trajectory; its nearest end was taken instead",
             counted(report.outside_trajectory as u64, "relation reaches", "relations reach")
         ));
     }
-    say(&format!(
+    print_line(&format!(
         "{}: {:.1} % within {GOOD} m, median {:.4} m and {:.4} deg",
         counted(report.count as u64, "relation", "relations"),
         100.0 * report.share_within(GOOD),

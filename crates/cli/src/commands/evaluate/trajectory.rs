@@ -14,7 +14,7 @@ use crate::GlobalArgs;
 use crate::commands::argument::{positive_metres, seconds};
 use crate::error::{CliError, Outcome};
 use crate::output::{print, print_json};
-use crate::progress::say;
+use crate::progress::print_line;
 
 /// Range of heights below which a trajectory counts as 2D, metres.
 const FLAT: f64 = 1e-6;
@@ -114,7 +114,7 @@ pub fn run(args: &TrajectoryArgs, global: &GlobalArgs) -> Result<Outcome, CliErr
         absolute,
     };
     if !global.quiet && report.absolute.count < report.absolute.estimate_poses {
-        say(&format!(
+        print_line(&format!(
             "{} of {} poses of the estimate have no counterpart in the truth and were not compared",
             report.absolute.estimate_poses - report.absolute.count,
             report.absolute.estimate_poses

@@ -7,7 +7,7 @@ use super::OptimizeArgs;
 use crate::GlobalArgs;
 use crate::error::{CliError, Outcome};
 use crate::output::{print_json, print_summary, write_file};
-use crate::progress::say;
+use crate::progress::print_line;
 
 pub fn run(args: &OptimizeArgs, input: Forward, global: &GlobalArgs) -> Result<Outcome, CliError> {
     if !args.set.is_empty() {
@@ -16,7 +16,7 @@ pub fn run(args: &OptimizeArgs, input: Forward, global: &GlobalArgs) -> Result<O
     let (mut graph, repairs) = read_g2o(input).map_err(|error| CliError::in_file(&args.input, error))?;
     let notes = repairs.notes();
     if !global.quiet {
-        notes.iter().for_each(|note| say(&format!("{}: {note}", args.input.display())));
+        notes.iter().for_each(|note| print_line(&format!("{}: {note}", args.input.display())));
     }
     let report = optimize_graph(&mut graph, &args.graph_options())
         .map_err(|error| CliError::in_file(&args.input, error))?;

@@ -8,7 +8,7 @@ use crate::GlobalArgs;
 use crate::commands::argument::{not_negative, shifts, time_offset};
 use crate::commands::handling::HandlingArgs;
 use crate::error::CliError;
-use crate::progress::{Progress, say};
+use crate::progress::{Progress, print_line};
 
 /// Source of the points; detected automatically.
 #[derive(clap::Args, Clone, Debug, Default)]
@@ -80,7 +80,7 @@ pub fn read_points_and(
     let mut observe = |state: PointReading<'_>| match state {
         PointReading::Planned(plan) => {
             if !global.quiet {
-                say(&format!("the trajectory is taken as that of frame \"{}\"", plan.tracking_frame));
+                print_line(&format!("the trajectory is taken as that of frame \"{}\"", plan.tracking_frame));
             }
             progress = Some(Progress::start("reading", recording.size_bytes(), global.quiet));
         }

@@ -16,7 +16,7 @@ fn mounting_line(mounting: &Mounting) -> String {
     let degrees = 1.0_f64.to_degrees();
     let mut text = format!(
         "{}: translated by ({}) cm, rotated by ({}) deg, delayed by {:.4} ± {:.4} s",
-        mounting.what,
+        mounting.name,
         numbers(&mounting.translation, &mounting.translation_deviation, 100.0, 2),
         numbers(&mounting.rotation, &mounting.rotation_deviation, degrees, 3),
         mounting.delay,

@@ -15,7 +15,7 @@ use crate::commands::evaluate::input::read_trajectory;
 use crate::error::CliError;
 use crate::input::read_bytes;
 use crate::output::counted;
-use crate::progress::say;
+use crate::progress::print_line;
 
 /// Number of neighbours from which a normal is computed.
 const NORMAL_NEIGHBOURS: usize = 12;
@@ -46,7 +46,7 @@ pub struct InputArgs {
     /// Start uos scans at the poses of an earlier registration (.frames) instead of at their initial poses
     /// (.pose).
     #[arg(long = "continue")]
-    go_on: bool,
+    continues: bool,
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -98,7 +98,7 @@ pub fn read_scans(
         guesses: sources
             .iter()
             .map(|s| match s {
-                ScanSource::Uos(scan) if input.go_on => scan.world_from_scan(),
+                ScanSource::Uos(scan) if input.continues => scan.world_from_scan(),
                 ScanSource::Uos(scan) => scan.guess.unwrap_or_default(),
                 ScanSource::File(_) => Rigid3::identity(),
             })
@@ -123,7 +123,7 @@ pub fn read_scans(
     }
     scans.from_origin = Rigid3::from_parts(origin.unwrap_or([0.0; 3]).into(), Quaternion::identity());
     if !quiet {
-        scans.suspect_units().into_iter().for_each(|line| say(&line));
+        scans.suspect_units().into_iter().for_each(|line| print_line(&line));
     }
     Ok(scans)
 }
@@ -140,7 +140,12 @@ fn read_scan(
     let path = source.path();
     let read = read_cloud_from(source.open().map_err(failed)?, path, MOST_POINTS, quiet)?;
     if read.total > read.points.len() as u64 && !quiet {
-        say(&format!("{}: only {} of {} points are used", path.display(), read.points.len(), read.total));
+        print_line(&format!(
+            "{}: only {} of {} points are used",
+            path.display(),
+            read.points.len(),
+            read.total
+        ));
     }
     let limits = input.limits();
     let mut points: Vec<[f32; 3]> = Vec::with_capacity(read.points.len());

@@ -38,7 +38,7 @@ pub fn text(work: &Registration, registered: &[Registered], files: &[PathBuf]) -
             let [shift, turn] = [&d[3..], &d[..3]].map(|part| part.iter().map(|v| v * v).sum::<f64>().sqrt());
             text += &format!(", sigma {:.2} mm and {:.4} deg", 1e3 * shift, turn.to_degrees());
         }
-        if scan.doubt.is_some() {
+        if scan.distrust.is_some() {
             text += ", NOT to be trusted";
         }
         if let Some(error) = &scan.error {

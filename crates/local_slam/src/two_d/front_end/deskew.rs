@@ -41,11 +41,11 @@ impl FrontEnd {
             return by(&mut |_| last);
         }
         let pose_2d = |pose| project_2d(&(pose * gravity.inverse()));
-        let told = pose_2d(extrapolator.extrapolate_pose(ranges.time));
+        let extrapolated = pose_2d(extrapolator.extrapolate_pose(ranges.time));
         let tracking_yaw = yaw(&gravity);
         let motion = Motion { last: pose_2d(last), seconds, measured, between_readings: None, tracking_yaw };
         if measured == Measured::Whole {
-            let step = motion.to(&self.tracker.suspected(told, motion)?);
+            let step = motion.to(&self.tracker.suspected(extrapolated, motion)?);
             return by(&mut |time| {
                 let part = part_of(&step, time.seconds_since(last_time) / seconds);
                 embed_3d(&(motion.last * part)) * gravity
@@ -53,15 +53,15 @@ impl FrontEnd {
         }
         let returns = &gathered.range_data.returns;
         let cloud = filtered(returns, &options.adaptive_voxel_filter);
-        self.tracker.note(ranges.time, &told, [&cloud, returns]);
+        self.tracker.note(ranges.time, &extrapolated, [&cloud, returns]);
         let scan = Scan::new(&cloud, returns, self.active_submaps.matching_submap()?);
-        let error = told.inverse() * self.tracker.look(told, motion, scan)?;
+        let error = extrapolated.inverse() * self.tracker.search_ahead(extrapolated, motion, scan)?;
         let half_a_cell = 0.5 * f64::from(options.submaps.grid_options_2d.resolution);
         let in_scan = 1.0 - error_share(1.0 + begin / seconds);
         if in_scan * displacement(&error, returns) < half_a_cell {
             return None;
         }
-        self.tracker.forget_look();
+        self.tracker.discard_cached_search();
         by(&mut |time| {
             let predicted = pose_2d(extrapolator.extrapolate_pose(time));
             let share = error_share(time.seconds_since(last_time) / seconds);

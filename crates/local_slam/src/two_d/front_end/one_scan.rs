@@ -7,14 +7,14 @@ use portolan_issue::IssueKind;
 use portolan_sensor::{PointCloud, RangeData, voxel_filter};
 use portolan_submaps::{KeptScan2d, Submap2d, search_after_gap};
 
-use super::super::belief::{Fit, PoseBelief};
 use super::super::co_moving::Marked;
 use super::super::dead_reckoning::DeadReckoning;
 use super::super::gather::GatheredScan;
 use super::super::motion::{Measured, Motion};
 use super::super::occlusion::View;
+use super::super::pose_status::{Fit, PoseStatus};
 use super::super::scan::Scan;
-use super::super::tracking::{Found, LeftOpen};
+use super::super::tracking::{Degeneracy, Found};
 use super::FrontEnd;
 use crate::{InsertedNode, Lost, MatchingResult, NodeData, Space2d, filtered};
 
@@ -56,24 +56,25 @@ impl FrontEnd {
         // 4. Match.
         let found = self.find(time, &expected);
         self.note_for_role(&expected, &found);
-        self.note_left_open(time, &expected, &found);
+        self.record_degeneracy(time, &expected, &found);
         // 5. Accept the match, or begin a new piece of map.
-        let (pose, lost) = self.believed(time, &expected, &found, &gravity)?;
-        if let (None, PoseBelief::Sure, Some(marked)) = (&lost, self.belief, marked) {
+        let (pose, lost) = self.accepted_pose(time, &expected, &found, &gravity)?;
+        if let (None, PoseStatus::Confirmed, Some(marked)) = (&lost, self.status, marked) {
             self.co_moving.learn(time, pose, marked);
         }
         let local_from_tracking = embed_3d(&pose) * gravity;
         self.extrapolator.as_mut()?.add_pose(time, local_from_tracking);
-        let tells_place = found.tells_place && self.belief == PoseBelief::Sure;
-        self.level.add_pose(time, &local_from_tracking, tells_place);
+        let measures_position = found.measures_position && self.status == PoseStatus::Confirmed;
+        self.level.add_pose(time, &local_from_tracking, measures_position);
         // 6. Insert.
         let range_data_in_local = scan.transformed(&to_f32(&embed_3d(&pose)));
-        let inserted = if let PoseBelief::Doubtful { .. } = self.belief {
+        let inserted = if let PoseStatus::Suspect { .. } = self.status {
             self.count(IssueKind::ScanContradictsMap, time);
             None
         } else {
-            found.agreement.iter().for_each(|agreement| self.tracker.note_agreement(agreement));
-            (self.last_sure, self.reckoned) = (pose, DeadReckoning::from(project_2d(&local_from_tracking)));
+            found.agreement.iter().for_each(|agreement| self.tracker.record_agreement(agreement));
+            (self.last_confirmed, self.reckoned) =
+                (pose, DeadReckoning::from(project_2d(&local_from_tracking)));
             // On trial every motion hypothesis inserts the same number of scans.
             let is_drawn = self.role.is_trial() || !self.motion_filter.is_similar(time, &local_from_tracking);
             is_drawn.then(|| {
@@ -137,8 +138,8 @@ impl FrontEnd {
         }
         // On trial the motion is a hypothesis that the scan may refute, and so is a pose that is not yet
         // accepted.
-        let is_believed = !self.role.is_trial() && self.belief == PoseBelief::Sure;
-        let is_judged = self.tracker.is_adaptive() && is_believed;
+        let is_confirmed = !self.role.is_trial() && self.status == PoseStatus::Confirmed;
+        let is_judged = self.tracker.is_adaptive() && is_confirmed;
         let (true, Some(motion), Some(submap)) = (is_judged, motion, self.active_submaps.matching_submap())
         else {
             return (View::Clear, None);
@@ -154,7 +155,7 @@ impl FrontEnd {
     }
 
     /// The pose of a scan without returns, from odometry; none where odometry does not measure it.
-    pub(super) fn carried_blind(
+    pub(super) fn carried_without_returns(
         &mut self,
         time: Time,
         gravity: Quaternion,
@@ -173,7 +174,7 @@ impl FrontEnd {
         gravity: Quaternion,
     ) -> Option<MatchingResult<Space2d>> {
         let motion = motion.filter(|motion| self.tracker.is_adaptive() && motion.is_measured())?;
-        let pose = embed_3d(&self.tracker.told_by_odometry(*prediction, &motion));
+        let pose = embed_3d(&self.tracker.pose_by_odometry(*prediction, &motion));
         let local_from_tracking = pose * gravity;
         let origin = to_f32(&pose) * scan.origin;
         let range_data_in_local = RangeData { origin, ..RangeData::default() };
@@ -219,8 +220,8 @@ impl FrontEnd {
             pose,
             is_far: false,
             overrules_odometry: false,
-            tells_place: true,
-            left_open: LeftOpen::Nothing,
+            measures_position: true,
+            degeneracy: Degeneracy::None,
             agreement: None,
         }
     }
@@ -250,7 +251,7 @@ impl FrontEnd {
 
     /// The accepted pose in the local map, and the end of the piece of map if a new one begins; none if
     /// the pose is invalid.
-    fn believed(
+    fn accepted_pose(
         &mut self,
         time: Time,
         Expected { prediction, motion, .. }: &Expected,
@@ -274,19 +275,19 @@ impl FrontEnd {
         });
         let is_unknown = motion.is_some_and(|motion| motion.is_unknown());
         let is_guess = is_refuted || is_unknown && fit.is_some_and(|fit| fit.is_poor());
-        self.belief = match gap {
-            Some(_) => PoseBelief::Sure,
-            None if is_guess => self.belief.after_guess(time),
-            None => self.belief.after(time, fit),
+        self.status = match gap {
+            Some(_) => PoseStatus::Confirmed,
+            None if is_guess => self.status.after_guess(time),
+            None => self.status.after(time, fit),
         };
         if let Some(motion) = motion {
             let step = motion.of_tracking(&motion.to(prediction));
             self.reckoned.add(motion, &step, self.tracker.sigmas(&step));
         }
-        Some(match (gap, self.belief) {
+        Some(match (gap, self.status) {
             (Some(gap), _) => (*prediction, Some(self.begin_after_gap(time, gap, at(prediction)))),
-            (None, PoseBelief::Lost { since }) => self.begin_where_reckoned(since, time, gravity),
-            (None, PoseBelief::Sure | PoseBelief::Doubtful { .. }) => (pose, None),
+            (None, PoseStatus::Lost { since }) => self.begin_at_dead_reckoning(since, time, gravity),
+            (None, PoseStatus::Confirmed | PoseStatus::Suspect { .. }) => (pose, None),
         })
     }
 

@@ -3,8 +3,8 @@
 use portolan_geometry::{Duration, Quaternion, Rigid2, Rigid3, Time, embed_3d, yaw};
 use portolan_motion::PoseExtrapolator;
 
-use super::super::belief::PoseBelief;
 use super::super::co_moving::CoMoving;
+use super::super::pose_status::PoseStatus;
 use super::super::start::Velocity;
 use super::{FrontEnd, no_submaps};
 use crate::{Lost, OdometryBridge, Space2d, motion_filter};
@@ -15,34 +15,34 @@ const SHORTLY: f64 = 0.1;
 impl FrontEnd {
     /// Ends the current piece of map, which no measurement connects to the next scans. The scanner is
     /// assumed to be at this pose of the tracking frame, and new submaps begin there.
-    fn begin_anew(&mut self, since: Time, time: Time, local_from_tracking: Rigid3) -> Lost<Space2d> {
+    fn restart(&mut self, since: Time, time: Time, local_from_tracking: Rigid3) -> Lost<Space2d> {
         let remaining = self.active_submaps.finish();
         self.active_submaps = no_submaps(&self.options, &self.extras);
         self.motion_filter = motion_filter(&self.options.motion_filter);
         self.co_moving = CoMoving::default();
-        let nothing_tells = |e: &&mut PoseExtrapolator| !e.odometry_since_last_pose(time);
-        if let Some(extrapolator) = self.extrapolator.as_mut().filter(nothing_tells) {
-            begin_anew(extrapolator, time, local_from_tracking, Velocity::default());
-            self.has_begun_anew = true;
-            self.tracker.begin_anew();
+        let is_unmeasured = |e: &&mut PoseExtrapolator| !e.odometry_since_last_pose(time);
+        if let Some(extrapolator) = self.extrapolator.as_mut().filter(is_unmeasured) {
+            restart(extrapolator, time, local_from_tracking, Velocity::default());
+            self.has_restarted = true;
+            self.tracker.restart();
         }
-        Lost { since, remaining, ended_from_begun: Rigid3::identity(), bridge: None }
+        Lost { since, remaining, old_from_new: Rigid3::identity(), bridge: None }
     }
 
     /// Ends the piece of map that scans no longer fit. New submaps begin at the pose of odometry, or,
     /// where odometry gives none, at the last accepted pose.
-    pub(super) fn begin_where_reckoned(
+    pub(super) fn begin_at_dead_reckoning(
         &mut self,
         since: Time,
         time: Time,
         gravity: &Quaternion,
     ) -> (Rigid2, Option<Lost<Space2d>>) {
         let reckoned = self.reckoned.bridge();
-        let pose = reckoned.map_or(self.last_sure, |(tracking, _)| Rigid2 {
+        let pose = reckoned.map_or(self.last_confirmed, |(tracking, _)| Rigid2 {
             angle: tracking.angle - yaw(gravity),
             ..tracking
         });
-        let lost = self.begin_anew(since, time, embed_3d(&pose) * *gravity);
+        let lost = self.restart(since, time, embed_3d(&pose) * *gravity);
         (pose, Some(Lost { bridge: reckoned.map(|(_, bridge)| bridge), ..lost }))
     }
 
@@ -55,26 +55,26 @@ impl FrontEnd {
         local_from_tracking: Rigid3,
     ) -> Lost<Space2d> {
         let since = time - Duration::from_seconds(seconds);
-        Lost { bridge: Some(bridge), ..self.begin_anew(since, time, local_from_tracking) }
+        Lost { bridge: Some(bridge), ..self.restart(since, time, local_from_tracking) }
     }
 
     /// Time since which scans have fitted nowhere in the search window, if the last ones do not fit and
     /// the pose is a guess.
     pub fn lost_since(&self) -> Option<Time> {
-        match self.belief {
-            PoseBelief::Doubtful { since, is_elsewhere: true, .. } => Some(since),
-            PoseBelief::Sure | PoseBelief::Doubtful { .. } | PoseBelief::Lost { .. } => None,
+        match self.status {
+            PoseStatus::Suspect { since, is_elsewhere: true, .. } => Some(since),
+            PoseStatus::Confirmed | PoseStatus::Suspect { .. } | PoseStatus::Lost { .. } => None,
         }
     }
 
     /// Whether a piece of map that no measurement connects to the one before was begun since the last
     /// call.
-    pub fn take_begun_anew(&mut self) -> bool {
-        std::mem::take(&mut self.has_begun_anew)
+    pub fn take_restarted(&mut self) -> bool {
+        std::mem::take(&mut self.has_restarted)
     }
 
     /// Sets the velocity where odometry contradicts it because odometry fails.
-    pub fn set_velocity_in_spite_of_odometry(&mut self, velocity: Velocity) {
+    pub fn set_velocity_against_odometry(&mut self, velocity: Velocity) {
         self.tracker.odometry_contradicts(&velocity.motion(SHORTLY), SHORTLY);
         self.set_velocity(velocity);
     }
@@ -86,18 +86,18 @@ impl FrontEnd {
         if let Some(extrapolator) = &mut self.extrapolator
             && let Some((time, pose)) = extrapolator.last_pose()
         {
-            begin_anew(extrapolator, time, pose, velocity);
+            restart(extrapolator, time, pose, velocity);
         }
     }
 }
 
 /// Restarts the predictions at a pose with this velocity, in the frame of that pose.
-pub(super) fn begin_anew(
+pub(super) fn restart(
     extrapolator: &mut PoseExtrapolator,
     time: Time,
     local_from_tracking: Rigid3,
     velocity: Velocity,
 ) {
     let motion = embed_3d(&velocity.motion(SHORTLY));
-    extrapolator.begin_anew(time, local_from_tracking, &motion, SHORTLY);
+    extrapolator.restart(time, local_from_tracking, &motion, SHORTLY);
 }

@@ -5,7 +5,7 @@ use portolan_geometry::{Quaternion, Vector2, embed_3d, rotation_angle};
 use super::*;
 
 #[test]
-fn who_is_lost_is_believed_to_stand_where_he_was_last_seen() {
+fn a_lost_scanner_restarts_at_its_last_accepted_pose() {
     let mut options = Options::for_2d().trajectory_builder.trajectory_builder_2d;
     options.use_imu_data = false;
     let extras = LocalSlamExtras { adaptive_search: true, ..LocalSlamExtras::default() };
@@ -14,9 +14,9 @@ fn who_is_lost_is_believed_to_stand_where_he_was_last_seen() {
     let at = |seconds: f64| Time::from_ros(1_700_000_000, 0) + Duration::from_seconds(seconds);
     let far = Rigid2::new(40.0, -3.0, 0.5);
     front_end.start_extrapolator(at(0.0)).add_pose(at(5.0), embed_3d(&far));
-    front_end.last_sure = far;
-    let (pose, lost) = front_end.begin_where_reckoned(at(4.0), at(6.0), &Quaternion::identity());
-    assert!(pose == far && lost.is_some() && front_end.take_begun_anew());
+    front_end.last_confirmed = far;
+    let (pose, lost) = front_end.begin_at_dead_reckoning(at(4.0), at(6.0), &Quaternion::identity());
+    assert!(pose == far && lost.is_some() && front_end.take_restarted());
     // At the pose of the scan that fitted nowhere.
     front_end.start_extrapolator(at(6.0)).add_pose(at(6.0), embed_3d(&far));
     for speed in [0.0, 5.0] {

@@ -5,9 +5,9 @@ use portolan_grids::scan_agreement;
 use portolan_sensor::PointCloud;
 use portolan_submaps::{ScanMatch2d, SearchWindow};
 
-use super::super::belief::{is_hardly_explained, refutes_place};
 use super::super::hypotheses::{Basis, Hypothesis, Judgement};
 use super::super::motion::{Motion, wide_window};
+use super::super::pose_status::{is_hardly_explained, refutes_place};
 use super::super::posterior::MotionPrior;
 use super::super::scan::Scan;
 use super::super::unknown_motion::UnknownMotion;
@@ -30,14 +30,15 @@ impl Tracker {
             .as_ref()
             .is_some_and(|a| refutes_place(a) || !motion.is_measured() && self.looks_wrong(a));
         let is_sought = self.limit.is_none() && (is_low || is_wrong || near.is_at_edge(window));
-        if let (true, true, Some(went_on)) = (is_sought, motion.is_unknown(), near.otherwise) {
-            return self.judged_unknown(near, went_on, motion, (scan, cloud));
+        if let (true, true, Some(constant_velocity)) = (is_sought, motion.is_unknown(), near.otherwise) {
+            return self.judged_unknown(near, constant_velocity, motion, (scan, cloud));
         }
         let wide = is_sought.then(|| self.search_wide((scan, cloud), near, wide_window(window, motion)));
         let prior = self.prior(near.around, motion);
-        let is_doubted = scan.witnesses.are_few() && is_elsewhere(&(near.around.inverse() * found.pose))
+        let is_questionable = scan.independent_measurements.are_few()
+            && is_elsewhere(&(near.around.inverse() * found.pose))
             || agreement.as_ref().is_some_and(is_hardly_explained);
-        if wide.is_none() && !is_doubted {
+        if wide.is_none() && !is_questionable {
             return (found, Judgement::Near);
         }
         // A prediction without measurement is not independent evidence.
@@ -54,17 +55,17 @@ impl Tracker {
     fn judged_unknown(
         &self,
         stopped: &Hypothesis,
-        went_on: Rigid2,
+        constant_velocity: Rigid2,
         motion: Motion,
         (scan, cloud): (&Scan, &PointCloud),
     ) -> (ScanMatch2d, Judgement) {
-        let window = self.window(&motion, &went_on);
+        let window = self.window(&motion, &constant_velocity);
         let far = wide_window(window, motion);
-        let searched = [(went_on, window), (stopped.around, far), (went_on, far)];
-        let prior = UnknownMotion::new(&motion, stopped.around, went_on);
+        let searched = [(constant_velocity, window), (stopped.around, far), (constant_velocity, far)];
+        let prior = UnknownMotion::new(&motion, stopped.around, constant_velocity);
         let likely = |found: &ScanMatch2d| {
             let agreement = scan_agreement(&scan.submap.grid, &found.pose, scan.cloud)?;
-            let beams = self.beam_evidence.log_likelihood(&agreement, scan.witnesses);
+            let beams = self.beam_evidence.log_likelihood(&agreement, scan.independent_measurements);
             Some(prior.log_density(&found.pose) + beams)
         };
         let mut best = (stopped.found, Judgement::Near);
@@ -97,7 +98,8 @@ impl Tracker {
         for (i, pose) in poses.into_iter().enumerate() {
             let Some(pose) = pose.filter(Rigid2::is_finite) else { continue };
             let agreement = scan_agreement(&scan.submap.grid, &pose, scan.cloud)?;
-            let likely = prior.log_posterior(&pose, &agreement, (&self.beam_evidence, scan.witnesses));
+            let likely =
+                prior.log_posterior(&pose, &agreement, (&self.beam_evidence, scan.independent_measurements));
             if best.is_none_or(|(_, most)| likely > most) {
                 best = Some((i, likely));
             }
@@ -110,7 +112,7 @@ impl Tracker {
     /// constant, or, after a long time without measurements, the scanner stopped.
     pub(super) fn search_hypotheses(
         &mut self,
-        [prediction, went_on]: [Rigid2; 2],
+        [prediction, constant_velocity]: [Rigid2; 2],
         motion: Motion,
         scan: (&Scan, &PointCloud),
         window: SearchWindow,
@@ -122,27 +124,34 @@ impl Tracker {
             otherwise: None,
         };
         if !motion.is_measured() {
-            let predicted = around(prediction, Basis::WentOn);
+            let predicted = around(prediction, Basis::ConstantVelocity);
             if motion.is_unknown() {
-                return Hypothesis { otherwise: Some(went_on), ..predicted };
+                return Hypothesis { otherwise: Some(constant_velocity), ..predicted };
             }
             if motion.seconds <= self.gap {
                 return predicted;
             }
-            let stopped = around(motion.last, Basis::WentOn);
+            let stopped = around(motion.last, Basis::ConstantVelocity);
             return if stopped.found.score > predicted.found.score { stopped } else { predicted };
         }
         let predicted = around(prediction, Basis::Measured);
         let caught_up = self.catching_up.after(&motion.to(&prediction), motion.seconds);
         let caught_up = caught_up.map(|caught_up| around(caught_up, Basis::CaughtUp));
         let (measured, prior) = self.likelier(predicted, caught_up, motion, scan.0);
-        let Some((went_on, log_odds)) = self.odometry_failure.add_measured(motion, &prior) else {
+        let Some((constant_velocity, log_odds)) = self.odometry_failure.add_measured(motion, &prior) else {
             return measured;
         };
-        let found = self.search(scan, went_on.prediction, self.window_of(&went_on.sigmas));
-        let other = Hypothesis { around: went_on.prediction, found, basis: Basis::WentOn, otherwise: None };
+        let found =
+            self.search(scan, constant_velocity.prediction, self.window_of(&constant_velocity.sigmas));
+        let other = Hypothesis {
+            around: constant_velocity.prediction,
+            found,
+            basis: Basis::ConstantVelocity,
+            otherwise: None,
+        };
         let likely = |prior, hypothesis| self.likely(prior, hypothesis, scan.0);
-        let (Some(works), Some(fails)) = (likely(&prior, &measured), likely(&went_on, &other)) else {
+        let (Some(works), Some(fails)) = (likely(&prior, &measured), likely(&constant_velocity, &other))
+        else {
             return measured;
         };
         if self.odometry_failure.fails(log_odds + fails - works) { other } else { measured }
@@ -171,6 +180,6 @@ impl Tracker {
     fn likely(&self, prior: &MotionPrior, hypothesis: &Hypothesis, scan: &Scan) -> Option<f64> {
         let pose = hypothesis.found.pose;
         let agreement = scan_agreement(&scan.submap.grid, &pose, scan.cloud)?;
-        Some(prior.log_posterior(&pose, &agreement, (&self.beam_evidence, scan.witnesses)))
+        Some(prior.log_posterior(&pose, &agreement, (&self.beam_evidence, scan.independent_measurements)))
     }
 }

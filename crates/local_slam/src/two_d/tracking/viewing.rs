@@ -4,9 +4,9 @@ use portolan_geometry::{Point3f, Rigid2};
 use portolan_grids::{ends_in_the_open, is_at_solid, scan_agreement};
 use portolan_sensor::PointCloud;
 
-use super::super::belief::refutes_place;
 use super::super::motion::{Motion, WIDEST};
 use super::super::occlusion::{MANY_OCCLUDED, View, sees_through};
+use super::super::pose_status::refutes_place;
 use super::super::prediction_error::PredictionSigmas;
 use super::super::scan::Scan;
 use super::{Tracker, WITHIN_SIGMAS};
@@ -17,22 +17,22 @@ const BEFORE_WALLS: f64 = 0.3;
 impl Tracker {
     /// How much of the mapped surroundings the scan sees at its predicted pose, and its returns without
     /// the occluding ones if it is occluded in part. To be called once for each scan.
-    pub fn view(&mut self, told: Rigid2, motion: Motion, scan: &Scan) -> (View, Option<PointCloud>) {
-        let prediction = self.predicted(told, &motion, None);
+    pub fn view(&mut self, extrapolated: Rigid2, motion: Motion, scan: &Scan) -> (View, Option<PointCloud>) {
+        let prediction = self.predicted(extrapolated, &motion, None);
         let sigmas = self.prediction_error.sigmas(&motion.to(&prediction));
         let agreement = scan_agreement(&scan.submap.grid, &prediction, scan.cloud);
         // A constant-velocity prediction is too uncertain for what the scan should see.
         let is_there =
             |a: &_| motion.is_measured() && is_expected(&sigmas) && !(refutes_place(a) && sees_through(a));
         let Some(agreement) = agreement.filter(is_there) else {
-            self.occlusion.sees_place(scan.returns);
+            self.occlusion.add_clear_view(scan.returns);
             return (View::Clear, None);
         };
         let mut occluded = share_occluded(scan, &prediction, &sigmas);
         // The prediction may be off instead. A cover may fit walls, but no scanner is inside a wall.
         if occluded >= MANY_OCCLUDED {
-            let found = self.look(prediction, motion, *scan);
-            self.forget_look();
+            let found = self.search_ahead(prediction, motion, *scan);
+            self.discard_cached_search();
             let found = found.filter(|pose| !is_at_solid(&scan.submap.grid, &pose.translation));
             occluded = found.map_or(occluded, |pose| occluded.min(share_occluded(scan, &pose, &sigmas)));
         }

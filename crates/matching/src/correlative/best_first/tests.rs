@@ -8,14 +8,14 @@ struct Endless {
 impl Branching for Endless {
     type Placement = u32;
 
-    fn roots(&mut self, best: &mut Best<u32>, hand_on: &mut dyn FnMut(Node<u32>)) {
+    fn roots(&mut self, best: &mut Best<u32>, emit: &mut dyn FnMut(Node<u32>)) {
         best.offer(7, 0.5);
-        hand_on(Node { bound: 1.0, exponent: 0, first: 0 });
+        emit(Node { bound: 1.0, exponent: 0, first: 0 });
     }
 
-    fn split(&mut self, node: &Node<u32>, best: &mut Best<u32>, hand_on: &mut dyn FnMut(Node<u32>)) {
+    fn split(&mut self, node: &Node<u32>, best: &mut Best<u32>, emit: &mut dyn FnMut(Node<u32>)) {
         if best.charge(self.lookups) {
-            (0..2).for_each(|i| hand_on(Node { first: node.first.wrapping_add(i), ..*node }));
+            (0..2).for_each(|i| emit(Node { first: node.first.wrapping_add(i), ..*node }));
         }
     }
 }
@@ -37,14 +37,14 @@ impl<F: Fn(u32) -> f32> Line<F> {
 impl<F: Fn(u32) -> f32> Branching for Line<F> {
     type Placement = u32;
 
-    fn roots(&mut self, best: &mut Best<u32>, hand_on: &mut dyn FnMut(Node<u32>)) {
-        self.node(0, 10, best).into_iter().for_each(hand_on);
+    fn roots(&mut self, best: &mut Best<u32>, emit: &mut dyn FnMut(Node<u32>)) {
+        self.node(0, 10, best).into_iter().for_each(emit);
     }
 
-    fn split(&mut self, node: &Node<u32>, best: &mut Best<u32>, hand_on: &mut dyn FnMut(Node<u32>)) {
+    fn split(&mut self, node: &Node<u32>, best: &mut Best<u32>, emit: &mut dyn FnMut(Node<u32>)) {
         let exponent = node.exponent - 1;
         for first in [node.first, node.first + (1 << exponent)] {
-            self.node(first, exponent, best).into_iter().for_each(&mut *hand_on);
+            self.node(first, exponent, best).into_iter().for_each(&mut *emit);
         }
     }
 }
@@ -76,7 +76,7 @@ impl Taker<u32> for Spaced {
 }
 
 #[test]
-fn placements_come_from_the_best_one_down_and_no_two_together() {
+fn separated_placements_come_in_descending_order() {
     let score = |i: u32| match i {
         700 => 0.9,
         695..705 => 0.85,
@@ -93,6 +93,6 @@ fn placements_come_from_the_best_one_down_and_no_two_together() {
 }
 
 #[test]
-fn a_search_without_end_finds_nothing() {
+fn an_endless_search_is_given_up() {
     assert_eq!(best_first(&mut Endless { lookups: 1 << 28 }, Best::above(0.1)), (0.5, vec![]));
 }

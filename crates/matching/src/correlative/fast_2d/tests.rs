@@ -210,7 +210,7 @@ fn a_moved_scan_is_found_back() {
 }
 
 #[test]
-fn odd_input_ends() {
+fn searches_of_odd_input_terminate() {
     let (matcher, mut scan) = (golden_matcher(), golden_scan());
     assert!(matcher.match_full(&PointCloud::default(), 0.1).is_none());
     assert!(matcher.match_local(&Rigid2::new(f64::NAN, 0.0, 0.0), &scan, 0.1).is_none());

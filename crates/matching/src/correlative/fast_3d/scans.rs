@@ -7,7 +7,7 @@ use portolan_grids::VoxelLattice;
 
 use super::pyramid::MaxPyramid3d;
 
-/// Indices of cells are clamped to this. With shifts up to [`MAX_SHIFT`] they stay outside of any grid.
+/// Indices of cells are clamped to this. With shifts up to [`MAX_SHIFT`] they remain outside of any grid.
 const FAR: i32 = 16_000;
 /// Maximum number of cells to either side that shifts are searched.
 pub(super) const MAX_SHIFT: i32 = 7800;

@@ -35,7 +35,7 @@ impl<F: FnMut(Placement3d) -> bool> Search3d<'_, F> {
         exponent: u32,
         end: [i32; 3],
         best: &mut Best<Placement3d>,
-        hand_on: &mut dyn FnMut(Node<Placement3d>),
+        emit: &mut dyn FnMut(Node<Placement3d>),
     ) {
         if !best.charge(8 * self.scans.num_points) {
             return;
@@ -66,7 +66,7 @@ impl<F: FnMut(Placement3d) -> bool> Search3d<'_, F> {
                 match exponent {
                     0 if best.charge(self.num_coarse) && (self.fits)(first) => best.offer(first, bound),
                     0 => {}
-                    _ => hand_on(Node { bound, exponent, first }),
+                    _ => emit(Node { bound, exponent, first }),
                 }
             }
         }
@@ -76,7 +76,7 @@ impl<F: FnMut(Placement3d) -> bool> Search3d<'_, F> {
 impl<F: FnMut(Placement3d) -> bool> Branching for Search3d<'_, F> {
     type Placement = Placement3d;
 
-    fn roots(&mut self, best: &mut Best<Placement3d>, hand_on: &mut dyn FnMut(Node<Placement3d>)) {
+    fn roots(&mut self, best: &mut Best<Placement3d>, emit: &mut dyn FnMut(Node<Placement3d>)) {
         let exponent = self.scans.groups.len() as u32 - 1;
         let (window, end) = (self.window, self.window.map(|n| n + 1));
         let starts = |axis: usize| (-window[axis]..end[axis]).step_by(2 << exponent);
@@ -86,7 +86,7 @@ impl<F: FnMut(Placement3d) -> bool> Branching for Search3d<'_, F> {
                 for y in starts(1) {
                     for x in starts(2) {
                         let first = Placement3d { scan, shift: [z, y, x] };
-                        self.for_eight_boxes(first, exponent, end, best, hand_on);
+                        self.for_eight_boxes(first, exponent, end, best, emit);
                     }
                 }
             }
@@ -98,13 +98,13 @@ impl<F: FnMut(Placement3d) -> bool> Branching for Search3d<'_, F> {
         &mut self,
         node: &Node<Placement3d>,
         best: &mut Best<Placement3d>,
-        hand_on: &mut dyn FnMut(Node<Placement3d>),
+        emit: &mut dyn FnMut(Node<Placement3d>),
     ) {
         let exponent = node.exponent - 1;
         let (width, first) = (1 << node.exponent, node.first);
         let end = [0, 1, 2].map(|axis| (first.shift[axis] + width).min(self.window[axis] + 1));
         for scan in [first.scan, first.scan + (1 << exponent)] {
-            self.for_eight_boxes(Placement3d { scan, ..first }, exponent, end, best, hand_on);
+            self.for_eight_boxes(Placement3d { scan, ..first }, exponent, end, best, emit);
         }
     }
 }

@@ -119,7 +119,7 @@ impl Tiles {
     }
 }
 
-/// A tile moved by `shift` (0 to 3) cells towards the start of an axis: the part that stays in the tile, and
+/// A tile moved by `shift` (0 to 3) cells towards the start of an axis: the part remaining in the tile, and
 /// the part that moves into the one before.
 fn split_along(tile: &Tile, axis: usize, shift: usize) -> [Tile; 2] {
     let (mut near, mut far) = ([0; 64], [0; 64]);

@@ -35,7 +35,7 @@ fn each_room_is_found_among_others() {
 }
 
 #[test]
-fn rooms_that_look_alike_are_all_told_and_no_place_twice() {
+fn all_similar_rooms_are_found_once() {
     let rooms = rooms(&[1, 2, 1, 3, 1]);
     let found = index_of(&rooms).find(&rooms[0].2, &WANTED);
     for room in [0, 2, 4] {
@@ -52,7 +52,7 @@ fn rooms_that_look_alike_are_all_told_and_no_place_twice() {
 }
 
 #[test]
-fn a_search_around_a_place_finds_what_is_there_alone() {
+fn a_search_around_a_place_is_limited_to_it() {
     let rooms = rooms(&[1, 2, 1, 3, 1]);
     let index = index_of(&rooms);
     let near = rooms[2].1.translation + Vector2::new(1.0, -0.8);
@@ -87,7 +87,7 @@ fn best_of_all(index: &PlaceIndex2d, cloud: &PointCloud) -> f32 {
 }
 
 #[test]
-fn nothing_better_is_missed() {
+fn the_best_placement_is_found() {
     let rooms = rooms(&[4, 5]);
     let index = index_of(&rooms);
     let wanted = WantedPlaces { most: 1, min_score: 0.0, most_points: 60, ..WANTED };
@@ -99,7 +99,7 @@ fn nothing_better_is_missed() {
 }
 
 #[test]
-fn what_is_not_in_the_map_is_not_found() {
+fn unmapped_scans_are_not_found() {
     let index = index_of(&rooms(&[1, 2, 3]));
     let strange = PointCloud::new((0..100).map(|i| Point3f::new(0.2 * i as f32, 1.0, 0.0)).collect());
     let wanted = WantedPlaces { min_score: 0.5, ..WANTED };
@@ -120,14 +120,14 @@ fn the_cost_of_a_search_grows_no_faster_than_the_map() {
 }
 
 #[test]
-fn too_few_look_ups_are_told() {
+fn searches_with_too_few_look_ups_are_incomplete() {
     let rooms = rooms(&[1, 2, 3]);
     let found = index_of(&rooms).find(&rooms[0].2, &WantedPlaces { lookups: 10_000, ..WANTED });
     assert!(!found.is_complete);
 }
 
 #[test]
-fn what_the_greedy_search_finds_is_told_even_without_a_complete_one() {
+fn greedy_results_are_kept_without_a_complete_search() {
     let rooms = rooms(&[1, 2, 1, 3, 1]);
     let found = index_of(&rooms).find(&rooms[0].2, &WantedPlaces { beam: 4096, lookups: 0, ..WANTED });
     assert!(!found.is_complete);
@@ -164,16 +164,16 @@ fn best_place(index: &PlaceIndex2d, beam: usize, lookups: u64) -> MatchResult<Ri
 }
 
 #[test]
-fn what_tells_more_decides_and_a_scanner_stands_where_it_is_open() {
-    let [telling, other] = [Vector2::new(4.0, -3.0), Vector2::new(-7.0, 1.0)];
-    let (limits, counts) = posts_at(&[(other, 0.4), (telling, 0.9)]);
+fn points_of_more_weight_decide_and_scanners_are_in_free_space() {
+    let [heavier, other] = [Vector2::new(4.0, -3.0), Vector2::new(-7.0, 1.0)];
+    let (limits, counts) = posts_at(&[(other, 0.4), (heavier, 0.9)]);
     let near = |cell: CellIndex, place: &Vector2| (limits.cell_center(cell) - place).norm() < 1.0;
     let cells = || (0..limits.num_cells()).map(|i| CellIndex::new((i % 70) as i32, (i / 70) as i32));
     let everywhere = PlaceIndex2d::of_cells(limits, &counts, &vec![true; limits.num_cells()]);
     let open: Vec<bool> = cells().map(|cell| near(cell, &other)).collect();
     let around_the_other = PlaceIndex2d::of_cells(limits, &counts, &open);
     for (beam, lookups) in [(4096, 0), (1, 1 << 40)] {
-        for (index, place, count) in [(&everywhere, telling, 0.9), (&around_the_other, other, 0.4)] {
+        for (index, place, count) in [(&everywhere, heavier, 0.9), (&around_the_other, other, 0.4)] {
             let found = best_place(index, beam, lookups);
             assert!((found.pose.translation - place).norm() < 1e-6, "{found:?}");
             assert!(found.pose.angle.abs() < 1e-6 && (found.score - count).abs() < 0.004, "{found:?}");

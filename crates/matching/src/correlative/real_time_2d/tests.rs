@@ -20,7 +20,7 @@ fn golden_tsdf() -> Grid2d {
     tsdf.into()
 }
 
-/// Scores every placement in order, as the definition says.
+/// Scores every placement in order, as defined.
 fn exhaustive(
     options: &RealTimeCorrelativeOptions,
     initial: &Rigid2,
@@ -114,7 +114,7 @@ fn the_result_is_that_of_trying_everything() {
 }
 
 #[test]
-fn nothing_known_keeps_the_initial_pose_if_that_is_wanted() {
+fn unknown_grids_keep_the_initial_pose_if_wanted() {
     let matcher = RealTimeCorrelativeMatcher2d::new(&golden_options()).unwrap();
     for grid in [
         Grid2d::from(ProbabilityGrid::new(room_limits())),
@@ -195,7 +195,7 @@ fn a_perfect_placement_on_a_distance_field_scores_one() {
 }
 
 #[test]
-fn around_several_poses_the_same_is_found_as_around_each() {
+fn a_search_around_several_poses_equals_single_searches() {
     let poses: Vec<Rigid2> =
         (-2..=2).map(|i| golden_initial() * Rigid2::new(0.3 * f64::from(i), 0.1, 0.0)).collect();
     let mut strange = golden_scan();

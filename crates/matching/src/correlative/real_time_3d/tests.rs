@@ -24,7 +24,7 @@ fn the_golden_scan_is_matched() {
 
 /// Seven points seen from one metre beside the position from which they were inserted.
 #[test]
-fn small_errors_are_undone() {
+fn small_errors_are_corrected() {
     let places = [
         (-3.0, 2.0, 0.0),
         (-4.0, 2.0, 0.0),
@@ -107,7 +107,7 @@ fn the_result_is_that_of_trying_everything() {
 }
 
 #[test]
-fn odd_input_ends() {
+fn searches_of_odd_input_terminate() {
     let grid = drawn_cloud_b(0.45, 1);
     let matcher = RealTimeCorrelativeMatcher3d::new(&RealTimeCorrelativeOptions::default()).unwrap();
     let cloud = PointCloud::new(vec![Point3f::new(f32::NAN, 0.0, 0.0)]);

@@ -101,7 +101,7 @@ fn derivatives_are_those_of_the_cost() {
 }
 
 #[test]
-fn nothing_to_match_gives_the_initial_pose() {
+fn empty_scans_and_unknown_grids_give_the_initial_pose() {
     let initial = golden_initial();
     let found = golden_matcher(1.0).match_scan(
         initial.translation,

@@ -113,7 +113,7 @@ fn seven_points() -> (PointCloud, HybridGrid, IntensityGrid) {
 }
 
 #[test]
-fn small_errors_are_undone() {
+fn small_errors_are_corrected() {
     let (cloud, grid, bright) = seven_points();
     let expected = Rigid3::translation(-1.0, 0.0, 0.0);
     let options = GradientMatcherOptions3d {

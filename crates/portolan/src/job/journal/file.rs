@@ -167,7 +167,7 @@ impl Writer {
     }
 
     /// Continues a file.
-    pub fn go_on(path: PathBuf, file: Disk<File>, reserve: u64) -> Self {
+    pub fn resume(path: PathBuf, file: Disk<File>, reserve: u64) -> Self {
         Self::start(path, Target::Open(file), reserve)
     }
 

@@ -32,7 +32,7 @@ fn answers(journal: &Journal) -> Vec<f64> {
 }
 
 #[test]
-fn answers_come_back_and_more_are_added() {
+fn recorded_answers_are_read_and_more_are_added() {
     let folder = left(&[1.5, -0.0]);
     let (journal, resumed) = Journal::resume(folder.path(), &identity("usual"), 0).unwrap();
     assert_eq!(resumed, Resumed { answers: 3, cut_off: 0 });
@@ -71,19 +71,19 @@ fn damaged_or_missing_records_at_the_end_are_cut_off() {
 }
 
 #[test]
-fn journals_of_other_jobs_are_refused_with_what_differs() {
+fn journals_of_other_jobs_are_refused_with_the_difference() {
     let folder = left(&[1.5]);
     let resume = |identity: &Identity| Journal::resume(folder.path(), identity, 0).map(|_| ());
     let error = resume(&identity("others")).unwrap_err().to_string();
     assert!(error.contains("of another job: the options differ"), "{error}");
     resume(&identity("usual")).unwrap();
-    let nothing = tempfile::tempdir().unwrap();
-    let error = Journal::resume(nothing.path(), &identity("usual"), 0).map(|_| ()).unwrap_err().to_string();
+    let empty = tempfile::tempdir().unwrap();
+    let error = Journal::resume(empty.path(), &identity("usual"), 0).map(|_| ()).unwrap_err().to_string();
     assert!(error.contains("there is no run to resume"), "{error}");
 }
 
 #[test]
-fn a_journal_that_is_refused_stays_as_it_is() {
+fn a_refused_journal_is_not_changed() {
     let folder = left(&[1.5]);
     let path = folder.path().join(JOURNAL);
     let mut damaged = fs::read(&path).unwrap();
@@ -96,7 +96,7 @@ fn a_journal_that_is_refused_stays_as_it_is() {
 }
 
 #[test]
-fn one_process_writes_at_a_time_and_foreign_files_stay() {
+fn one_process_writes_at_a_time_and_foreign_files_are_kept() {
     let folder = left(&[1.5]);
     let (_journal, _) = Journal::resume(folder.path(), &identity("usual"), 0).unwrap();
     let error = Journal::resume(folder.path(), &identity("usual"), 0).map(|_| ()).unwrap_err().to_string();
@@ -120,7 +120,7 @@ fn a_short_run_leaves_no_journal() {
 }
 
 #[test]
-fn journals_damaged_in_any_way_are_cut_off_or_refused() {
+fn damaged_journals_are_truncated_or_refused() {
     use portolan_testing::damage::{Layout, Random, damaged};
     let known = [1.5, -0.0, 7.25];
     let folder = left(&known);
@@ -140,7 +140,7 @@ fn journals_damaged_in_any_way_are_cut_off_or_refused() {
 }
 
 #[test]
-fn room_for_the_results_is_left() {
+fn disk_space_for_the_results_is_reserved() {
     let folder = tempfile::tempdir().unwrap();
     let journal = Journal::begin(folder.path(), &identity("usual"), u64::MAX / 2);
     journal.memory().keep(Some(1), &2.5);
@@ -217,7 +217,7 @@ fn later_answers(journal: &Journal) -> Vec<f64> {
 const LATER: [f64; 5] = [10.0, 11.0, 12.0, 13.0, 14.0];
 
 #[test]
-fn journals_on_a_disk_that_fails_are_resumed_as_far_as_they_are_whole() {
+fn journals_on_a_failing_disk_are_resumed_up_to_the_last_complete_record() {
     for how in ["begin", "resume"] {
         let before = left(&[1.5, 2.5]);
         let whole = fs::read(before.path().join(JOURNAL)).unwrap();

@@ -80,7 +80,8 @@ pub struct Registered {
     /// Root mean square of their distances, metres.
     pub rms: f64,
     /// Reason why the result cannot be trusted; it is then worthless.
-    pub doubt: Option<String>,
+    #[serde(rename = "doubt")]
+    pub distrust: Option<String>,
     /// Standard deviations of rotation (rad) and translation (m) after ICP; none for the first scan.
     pub deviations: Option<[f64; 6]>,
     /// The covariance they are from, row by row.
@@ -99,9 +100,9 @@ pub fn describe(scans: &Scans, work: &Registration, icp: &IcpOptions) -> Vec<Reg
             let matched = work.sequence.matched.get(i).and_then(Option::as_ref);
             let result = matched.and_then(|m| m.as_ref().ok());
             let deviations = |c: &na::Matrix6<f64>| std::array::from_fn(|k| c[(k, k)].max(0.0).sqrt());
-            let doubt = result.and_then(|r| reason_for_distrust(r, scans.clouds[i].points().len(), icp));
+            let distrust = result.and_then(|r| reason_for_distrust(r, scans.clouds[i].points().len(), icp));
             // For an untrusted result the covariance is meaningless.
-            let covariance = result.and_then(|r| r.covariance).filter(|_| doubt.is_none());
+            let covariance = result.and_then(|r| r.covariance).filter(|_| distrust.is_none());
             Registered {
                 file: scans.names[i].clone(),
                 points: scans.clouds[i].points().len(),
@@ -111,7 +112,7 @@ pub fn describe(scans: &Scans, work: &Registration, icp: &IcpOptions) -> Vec<Reg
                 converged: result.is_none_or(|r| r.converged),
                 pairs: result.map_or(0, |r| r.pairs),
                 rms: result.map_or(0.0, |r| r.rms),
-                doubt,
+                distrust,
                 deviations: covariance.as_ref().map(deviations),
                 covariance: covariance.map(|c| std::array::from_fn(|r| std::array::from_fn(|k| c[(r, k)]))),
                 global_deviations: covariances.get(i).filter(|_| i > 0).map(deviations),

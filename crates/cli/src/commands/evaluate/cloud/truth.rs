@@ -10,7 +10,7 @@ use crate::clouds::read_cloud;
 use crate::error::CliError;
 use crate::input::read_bytes;
 use crate::output::counted;
-use crate::progress::say;
+use crate::progress::print_line;
 
 /// Maximum number of points of a reference cloud; they take about 1 GB with the search tree.
 const REFERENCE_POINTS: usize = 30_000_000;
@@ -88,7 +88,7 @@ fn surfaces(path: &Path, quiet: bool) -> Result<(TrueSurfaces, bool), CliError> 
     })?;
     if mesh.left_out > 0 && !quiet {
         let faces = counted(mesh.left_out as u64, "face", "faces");
-        say(&format!("{}: {faces} with missing corners were left out", path.display()));
+        print_line(&format!("{}: {faces} with missing corners were left out", path.display()));
     }
     let lost_data = mesh.left_out > 0;
     TrueSurfaces::triangles(mesh.triangles).map(|surfaces| (surfaces, lost_data)).ok_or_else(none)

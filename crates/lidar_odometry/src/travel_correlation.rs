@@ -4,9 +4,9 @@
 //! and within a second a wrong velocity amounts to metres.
 //!
 //! It measures translations that are degenerate for planes and that no sensor measures. Cars ahead are the
-//! densest structure that a sparse lidar sees, and they move along: the search is limited to the range
-//! that accelerations allow since the last measurement. The result is the mean of all shifts by their
-//! likelihood ([`crate::shift_likelihood`]), and none where most of them remain possible.
+//! densest structure that a sparse lidar sees, and they move with the platform: the search is limited to
+//! the range that accelerations allow since the last measurement. The result is the mean of all shifts by
+//! their likelihood ([`crate::shift_likelihood`]), and none where most of them remain possible.
 
 use std::collections::VecDeque;
 
@@ -20,7 +20,7 @@ use crate::sweep::Sweep;
 
 /// Upright structures of the last sweeps, and the translations that planes do not constrain.
 #[derive(Clone)]
-pub(crate) struct TravelWitness {
+pub(crate) struct TravelCorrelation {
     settings: WitnessSettings,
     /// Limits the error of the assumed motion to that by unmeasured accelerations since the last
     /// agreement.
@@ -33,9 +33,9 @@ pub(crate) struct TravelWitness {
     points_per_independent_one: f64,
     /// Oldest first.
     seen: VecDeque<Seen>,
-    asked_at: Option<Time>,
+    attempted_at: Option<Time>,
     /// The last measurement along all degenerate translations.
-    told: Option<Telling>,
+    last_measurement: Option<TravelMeasurement>,
     /// Degenerate translations of the last sweep, in the local map, orthonormal.
     open: Vec<Vector3>,
     /// Time since which there has been a horizontal one among them.
@@ -44,7 +44,7 @@ pub(crate) struct TravelWitness {
 
 /// Time of a measurement, and its standard deviation, metres.
 #[derive(Clone, Copy)]
-struct Telling {
+struct TravelMeasurement {
     at: Time,
     sigma: f64,
 }
@@ -72,7 +72,7 @@ pub(crate) struct Discrepancy {
     pub power: i32,
 }
 
-impl TravelWitness {
+impl TravelCorrelation {
     pub fn new(settings: &OdometrySettings) -> Self {
         let (prior, correlation) = (settings.motion_prior.clone(), settings.correlation.clone());
         let max_points = 2 * settings.sweep.wanted_points as usize;
@@ -86,8 +86,8 @@ impl TravelWitness {
             max_points,
             points_per_independent_one,
             seen,
-            asked_at: None,
-            told: None,
+            attempted_at: None,
+            last_measurement: None,
             open,
             open_since: None,
         }
@@ -105,7 +105,7 @@ impl TravelWitness {
 
     /// Takes the translations since `start` that a sweep leaves degenerate for planes, orthonormal, in the
     /// local map.
-    pub fn leaves_open(&mut self, start: Time, open: Vec<Vector3>) {
+    pub fn set_degenerate(&mut self, start: Time, open: Vec<Vector3>) {
         self.open_since = match open.iter().any(is_horizontal) {
             true => self.open_since.or(Some(start)),
             false => None,
@@ -114,8 +114,8 @@ impl TravelWitness {
     }
 
     /// Whether the degenerate translations were measured recently.
-    pub fn told_lately(&self, end: Time) -> bool {
-        self.told.is_some_and(|told| end.seconds_since(told.at) <= self.settings.span)
+    pub fn measured_recently(&self, end: Time) -> bool {
+        self.last_measurement.is_some_and(|last| end.seconds_since(last.at) <= self.settings.span)
     }
 
     /// Whether the distance travelled is a guess: a horizontal translation has been degenerate, and
@@ -123,20 +123,22 @@ impl TravelWitness {
     pub fn is_guess(&self, end: Time) -> bool {
         let is_long =
             |since: Option<Time>| since.is_none_or(|s| end.seconds_since(s) > 1.5 * self.settings.span);
-        self.open_since.is_some() && is_long(self.open_since) && is_long(self.told.map(|told| told.at))
+        self.open_since.is_some()
+            && is_long(self.open_since)
+            && is_long(self.last_measurement.map(|last| last.at))
     }
 
     /// Difference between the actual and the predicted motion along degenerate translations; none if the
-    /// prediction stays as it is. To be called for each sweep before it is registered.
-    pub fn hear(&mut self, sweep: &Sweep, segment: &TrajectorySegment) -> Option<Discrepancy> {
+    /// prediction is kept. To be called for each sweep before it is registered.
+    pub fn measure(&mut self, sweep: &Sweep, segment: &TrajectorySegment) -> Option<Discrepancy> {
         if segment.source.is_measured() || self.open.is_empty() {
             return None;
         }
-        let is_due = |asked| sweep.end.seconds_since(asked) > self.settings.interval;
-        if !self.asked_at.is_none_or(is_due) {
+        let is_due = |attempted| sweep.end.seconds_since(attempted) > self.settings.interval;
+        if !self.attempted_at.is_none_or(is_due) {
             return None;
         }
-        self.asked_at = Some(sweep.end);
+        self.attempted_at = Some(sweep.end);
         let (end, to_end) = (segment.end(), segment.deskewing(&SegmentCorrection::default()));
         let (local_from_end, here) = (to_f32(&end), end.translation.vector);
         let points = sweep.points.iter().map(|p| local_from_end * to_end.moved(&p.position, p.time));
@@ -195,11 +197,12 @@ impl TravelWitness {
         let remaining = sigma * posterior.remaining_variance.sqrt();
         let mean_age = |group: &[&Seen]| group.iter().map(|seen| age(seen)).sum::<f64>() / group.len() as f64;
         let seconds = mean_age(&before) - mean_age(&after);
-        if !self.correlation.is_told(sigma, remaining) {
+        if !self.correlation.is_measured(sigma, remaining) {
             return None;
         }
-        let power = if self.told_lately(now.end) { 2 } else { 1 };
-        self.told = Some(Telling { at: now.end, sigma: remaining.max(self.correlation.resolution()) });
+        let power = if self.measured_recently(now.end) { 2 } else { 1 };
+        self.last_measurement =
+            Some(TravelMeasurement { at: now.end, sigma: remaining.max(self.correlation.resolution()) });
         let shift = posterior.shift * self.correlation.shrinkage(posterior.shift.norm());
         Some(Discrepancy { shift, seconds, power })
     }
@@ -222,8 +225,8 @@ impl TravelWitness {
     /// Standard deviation of the assumed motion, metres.
     fn sigma(&self, end: Time) -> f64 {
         let unknown = self.correlation.unknown();
-        self.told.map_or(unknown, |told| {
-            (told.sigma + self.prior.by_acceleration(end.seconds_since(told.at))).min(unknown)
+        self.last_measurement.map_or(unknown, |last| {
+            (last.sigma + self.prior.by_acceleration(end.seconds_since(last.at))).min(unknown)
         })
     }
 
@@ -281,53 +284,53 @@ mod tests {
 
     /// The final result along a street, where a car moved differently than assumed: metres along x at a
     /// time.
-    fn heard(
-        way: fn(f64) -> f64,
-        believed: fn(f64) -> f64,
+    fn discrepancy(
+        moved: fn(f64) -> f64,
+        assumed: fn(f64) -> f64,
         source: MotionSource,
-    ) -> (TravelWitness, Option<Discrepancy>) {
-        let mut witness = TravelWitness::new(&OdometrySettings::default());
+    ) -> (TravelCorrelation, Option<Discrepancy>) {
+        let mut travel = TravelCorrelation::new(&OdometrySettings::default());
         let pose = |x: f64| Rigid3::translation(x, 0.0, 0.0);
         for at in (0..14).map(|i| 0.1 * f64::from(i)) {
-            let place = pose(believed(at));
-            let points: Vec<Point3f> = street(&pose(way(at))).iter().map(|p| to_f32(&place) * p).collect();
-            witness.add(time(at), &points, &place.translation.vector);
-            witness.leaves_open(time(at), vec![Vector3::x()]);
+            let place = pose(assumed(at));
+            let points: Vec<Point3f> = street(&pose(moved(at))).iter().map(|p| to_f32(&place) * p).collect();
+            travel.add(time(at), &points, &place.translation.vector);
+            travel.set_degenerate(time(at), vec![Vector3::x()]);
         }
-        let points = street(&pose(way(1.4)));
+        let points = street(&pose(moved(1.4)));
         let points = points.iter().map(|p| SweepPoint { time: 0.0, position: *p, intensity: 0.0 }).collect();
         let mut segment =
-            TrajectorySegment::new(time(1.3), time(1.4), |t| pose(believed(t.seconds_since(time(0.0)))));
+            TrajectorySegment::new(time(1.3), time(1.4), |t| pose(assumed(t.seconds_since(time(0.0)))));
         segment.source = source;
-        let heard = witness.hear(&Sweep { end: time(1.4), points }, &segment);
-        (witness, heard)
+        let found = travel.measure(&Sweep { end: time(1.4), points }, &segment);
+        (travel, found)
     }
 
     #[test]
-    fn a_wrong_velocity_is_seen_and_corrected() {
-        let (_, heard) = heard(|t| 4.0 * t, |t| 2.0 * t, MotionSource::ConstantVelocity);
-        let heard = heard.unwrap();
+    fn a_wrong_velocity_is_detected_and_corrected() {
+        let (_, found) = discrepancy(|t| 4.0 * t, |t| 2.0 * t, MotionSource::ConstantVelocity);
+        let found = found.unwrap();
         // It was wrong from the beginning.
-        let error = heard.shift - Vector3::x() * (2.0 * heard.seconds);
-        assert!(error.norm() < 0.15 && heard.seconds > 0.8, "{heard:?}");
+        let error = found.shift - Vector3::x() * (2.0 * found.seconds);
+        assert!(error.norm() < 0.15 && found.seconds > 0.8, "{found:?}");
         let predicted = TrajectorySegment::new(time(1.3), time(1.4), |t| {
             Rigid3::translation(2.0 * t.seconds_since(time(0.0)), 0.0, 0.0)
         });
-        let corrected = heard.applied_to(&predicted);
-        assert!((corrected.end().translation.x - predicted.end().translation.x - heard.shift.x).abs() < 1e-9);
+        let corrected = found.applied_to(&predicted);
+        assert!((corrected.end().translation.x - predicted.end().translation.x - found.shift.x).abs() < 1e-9);
         assert!((corrected.translation().x - 0.4).abs() < 0.03, "{}", corrected.translation());
     }
 
     #[test]
-    fn what_is_right_or_measured_is_left_alone() {
-        let (witness, right) = heard(|t| 4.0 * t, |t| 4.0 * t, MotionSource::ConstantVelocity);
-        assert!(right.unwrap().shift.norm() < 0.1 && witness.told_lately(time(1.4)), "{right:?}");
-        let (_, measured) = heard(|t| 4.0 * t, |t| 2.0 * t, MotionSource::Standing);
+    fn correct_and_measured_motions_are_not_corrected() {
+        let (travel, right) = discrepancy(|t| 4.0 * t, |t| 4.0 * t, MotionSource::ConstantVelocity);
+        assert!(right.unwrap().shift.norm() < 0.1 && travel.measured_recently(time(1.4)), "{right:?}");
+        let (_, measured) = discrepancy(|t| 4.0 * t, |t| 2.0 * t, MotionSource::Standing);
         assert_eq!(measured, None);
         let inertial = MotionSource::Inertial { velocity_sigma: 0.1 };
         // Below the resolution of a correlation, and above.
-        assert_eq!(heard(|t| 4.0 * t, |t| 3.9 * t, inertial).1, None);
-        assert!(heard(|t| 4.0 * t, |t| 3.0 * t, inertial).1.unwrap().shift.x > 0.7);
+        assert_eq!(discrepancy(|t| 4.0 * t, |t| 3.9 * t, inertial).1, None);
+        assert!(discrepancy(|t| 4.0 * t, |t| 3.0 * t, inertial).1.unwrap().shift.x > 0.7);
     }
 
     /// Walls of a corridor along x as far as the scanner sees them, with posts between them if
@@ -344,9 +347,9 @@ mod tests {
     }
 
     #[test]
-    fn uniform_walls_do_not_tell_the_way_though_nearly_everything_is_met_again_and_posts_do() {
+    fn posts_constrain_the_travel_along_a_corridor_and_uniform_walls_do_not() {
         let guesses_after = |has_posts: bool| {
-            let mut witness = TravelWitness::new(&OdometrySettings::default());
+            let mut travel = TravelCorrelation::new(&OdometrySettings::default());
             for i in 0..30 {
                 let (at, x) = (0.1 * f64::from(i), 0.1 * i as f32);
                 let points = corridor(x, has_posts);
@@ -355,25 +358,25 @@ mod tests {
                 let sweep = Sweep { end: time(at), points: sweep_points.collect() };
                 let pose = move |t: Time| Rigid3::translation(t.seconds_since(time(0.0)), 0.0, 0.0);
                 let segment = TrajectorySegment::new(time(at - 0.1), time(at), pose);
-                witness.hear(&sweep, &segment);
+                travel.measure(&sweep, &segment);
                 let in_local: Vec<Point3f> =
                     points.iter().map(|p| p + Vector3::x().cast::<f32>() * x).collect();
-                witness.add(time(at), &in_local, &(Vector3::x() * f64::from(x)));
-                witness.leaves_open(time(at), vec![Vector3::x()]);
+                travel.add(time(at), &in_local, &(Vector3::x() * f64::from(x)));
+                travel.set_degenerate(time(at), vec![Vector3::x()]);
             }
-            (witness.is_guess(time(2.9)), witness.told_lately(time(2.9)))
+            (travel.is_guess(time(2.9)), travel.measured_recently(time(2.9)))
         };
         assert_eq!([false, true].map(guesses_after), [(true, false), (false, true)]);
     }
 
     #[test]
-    fn where_nothing_stands_upright_the_way_is_a_guess_after_a_while() {
-        let mut witness = TravelWitness::new(&OdometrySettings::default());
+    fn without_upright_structures_the_travel_becomes_a_guess() {
+        let mut travel = TravelCorrelation::new(&OdometrySettings::default());
         let guessed: Vec<bool> = (0..40)
             .map(|i| {
                 let at = time(0.1 * f64::from(i));
-                witness.leaves_open(at, vec![if i < 5 { Vector3::z() } else { Vector3::y() }]);
-                witness.is_guess(at)
+                travel.set_degenerate(at, vec![if i < 5 { Vector3::z() } else { Vector3::y() }]);
+                travel.is_guess(at)
             })
             .collect();
         assert_eq!(guessed.iter().position(|guess| *guess), Some(21));
@@ -382,10 +385,10 @@ mod tests {
     #[test]
     fn a_long_gap_along_which_the_distance_is_degenerate_is_a_guess_at_once() {
         let after_gap = |seconds: f64, open: Vector3| {
-            let mut witness = TravelWitness::new(&OdometrySettings::default());
-            witness.leaves_open(time(1.0), Vec::new());
-            witness.leaves_open(time(1.0), vec![open]);
-            witness.is_guess(time(1.0 + seconds))
+            let mut travel = TravelCorrelation::new(&OdometrySettings::default());
+            travel.set_degenerate(time(1.0), Vec::new());
+            travel.set_degenerate(time(1.0), vec![open]);
+            travel.is_guess(time(1.0 + seconds))
         };
         assert!(after_gap(4.0, Vector3::x()));
         assert!(!after_gap(4.0, Vector3::z()) && !after_gap(0.1, Vector3::x()));

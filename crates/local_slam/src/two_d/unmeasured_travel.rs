@@ -19,7 +19,7 @@ const DENSITY: f64 = 0.25;
 /// Time constant of the estimated density, path segments.
 const MEMORY: f64 = 50.0;
 /// Minimum duration of a path segment, seconds: errors of poses hardly count over it.
-const STRETCH: f64 = 1.0;
+const LEAST_SEGMENT: f64 = 1.0;
 /// Speed below which the scanner may stand still, m/s.
 const SLOW: f64 = 0.1;
 
@@ -33,7 +33,7 @@ pub(super) struct Velocity {
 }
 
 impl Velocity {
-    /// Whether the scanner may stand still: the guess of constant velocity is small then.
+    /// Whether the scanner may stand still: the error of constant velocity is small then.
     pub fn is_rest(&self) -> bool {
         self.speed < SLOW
     }
@@ -41,7 +41,7 @@ impl Velocity {
 
 /// A path segment in which scans constrained the motion throughout.
 #[derive(Clone, Copy, Debug)]
-struct Stretch {
+struct PathSegment {
     from: (Time, Rigid2),
     /// Duration, seconds, and mean speed, m/s, of the previous segment, which ended where this one began.
     before: Option<(f64, f64)>,
@@ -49,56 +49,56 @@ struct Stretch {
 
 /// Learned changes of speed, and the time since which the motion has been unmeasured.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct GuessedWay {
-    told: Option<Time>,
+pub(super) struct UnmeasuredTravel {
+    measured_at: Option<Time>,
     /// Velocity at that time.
     velocity: Velocity,
     density: CovarianceMatching,
-    stretch: Option<Stretch>,
+    segment: Option<PathSegment>,
 }
 
-impl Default for GuessedWay {
+impl Default for UnmeasuredTravel {
     fn default() -> Self {
         let density = CovarianceMatching::new(MEMORY);
-        Self { told: None, velocity: Velocity { speed: 0.0, sigma: 0.0 }, density, stretch: None }
+        Self { measured_at: None, velocity: Velocity { speed: 0.0, sigma: 0.0 }, density, segment: None }
     }
 }
 
-impl GuessedWay {
+impl UnmeasuredTravel {
     /// Adds a pose to which scans or odometry measured the motion, or at which the scanner rests.
-    pub fn add_known(&mut self, time: Time, pose: &Rigid2, velocity: Velocity) {
-        (self.told, self.velocity) = (Some(time), velocity);
-        let Some(stretch) = self.stretch else {
-            self.stretch = Some(Stretch { from: (time, *pose), before: None });
+    pub fn add_measured(&mut self, time: Time, pose: &Rigid2, velocity: Velocity) {
+        (self.measured_at, self.velocity) = (Some(time), velocity);
+        let Some(segment) = self.segment else {
+            self.segment = Some(PathSegment { from: (time, *pose), before: None });
             return;
         };
-        let seconds = time.seconds_since(stretch.from.0);
-        if seconds < STRETCH {
+        let seconds = time.seconds_since(segment.from.0);
+        if seconds < LEAST_SEGMENT {
             return;
         }
-        let speed = (pose.translation - stretch.from.1.translation).norm() / seconds;
-        if let Some((seconds_before, speed_before)) = stretch.before {
+        let speed = (pose.translation - segment.from.1.translation).norm() / seconds;
+        if let Some((seconds_before, speed_before)) = segment.before {
             let density = 3.0 * (speed - speed_before).powi(2) / (seconds + seconds_before);
             self.density.add(density / DENSITY);
         }
-        self.stretch = Some(Stretch { from: (time, *pose), before: Some((seconds, speed)) });
+        self.segment = Some(PathSegment { from: (time, *pose), before: Some((seconds, speed)) });
     }
 
     /// The motion to this time was unmeasured.
-    pub fn is_guessed(&mut self, time: Time) {
-        self.stretch = None;
-        self.told.get_or_insert(time);
+    pub fn add_unmeasured(&mut self, time: Time) {
+        self.segment = None;
+        self.measured_at.get_or_insert(time);
     }
 
     /// Whether the scanner rested when its motion was last measured, or its motion has never been
     /// measured.
     pub fn rested(&self) -> bool {
-        self.told.is_none() || self.velocity.is_rest()
+        self.measured_at.is_none() || self.velocity.is_rest()
     }
 
     /// Standard deviation of the position along the path since the last measurement, metres.
     pub fn sigma(&self, time: Time) -> f64 {
-        let seconds = self.told.map_or(0.0, |told| time.seconds_since(told));
+        let seconds = self.measured_at.map_or(0.0, |measured| time.seconds_since(measured));
         let density = DENSITY * self.density.variance_factor();
         // After a long time the scanner may have stopped.
         let stopped = if seconds > LONGEST_UNMEASURED { 0.5 * self.velocity.speed } else { 0.0 };
@@ -118,39 +118,39 @@ mod tests {
     const KNOWN: Velocity = Velocity { speed: 0.5, sigma: 0.0 };
 
     /// Follows a scanner with the speed `speed(t)`, m/s, ten times a second.
-    fn after(seconds: u32, speed: impl Fn(f64) -> f64) -> GuessedWay {
-        let (mut way, mut x) = (GuessedWay::default(), 0.0);
+    fn after(seconds: u32, speed: impl Fn(f64) -> f64) -> UnmeasuredTravel {
+        let (mut travel, mut x) = (UnmeasuredTravel::default(), 0.0);
         for i in 0..10 * seconds {
             let time = 0.1 * f64::from(i);
-            way.add_known(at(time), &Rigid2::new(x, 0.0, 0.0), KNOWN);
+            travel.add_measured(at(time), &Rigid2::new(x, 0.0, 0.0), KNOWN);
             x += 0.1 * speed(time);
         }
-        way.is_guessed(at(f64::from(seconds)));
-        way
+        travel.add_unmeasured(at(f64::from(seconds)));
+        travel
     }
 
     #[test]
-    fn a_scanner_that_hardly_changes_its_speed_is_followed_for_longer() {
+    fn uncertainty_grows_slowly_at_steady_speed() {
         let (steady, unsteady) = (after(200, |_| 0.3), after(200, |t| 0.5 + 0.5 * t.sin()));
-        let off = |way: &GuessedWay, seconds| way.sigma(at(199.9 + seconds));
+        let off = |travel: &UnmeasuredTravel, seconds| travel.sigma(at(199.9 + seconds));
         let (little, much) = (off(&steady, 1.5), off(&unsteady, 1.5));
         assert!(little < 0.1 && much > 0.3, "{little}, {much}");
         assert!(off(&steady, 3.0) > 0.5, "it may have stopped");
-        assert!(!steady.rested() && GuessedWay::default().rested());
+        assert!(!steady.rested() && UnmeasuredTravel::default().rested());
     }
 
     /// The mean square of the difference of mean speeds is that of the model.
     #[test]
     fn white_acceleration_is_measured() {
         let mut random = portolan_numeric::SplitMix64::new(3);
-        let (mut way, mut x, mut speed) = (GuessedWay::default(), 0.0, 0.0);
+        let (mut travel, mut x, mut speed) = (UnmeasuredTravel::default(), 0.0, 0.0);
         for i in 0..20_000 {
-            way.add_known(at(0.1 * f64::from(i)), &Rigid2::new(x, 0.0, 0.0), KNOWN);
+            travel.add_measured(at(0.1 * f64::from(i)), &Rigid2::new(x, 0.0, 0.0), KNOWN);
             // Uniform, with the variance 0.04 m²/s³ · 0.1 s.
             speed += (12.0_f64 * 0.004).sqrt() * (random.uniform() - 0.5);
             x += 0.1 * (5.0 + speed);
         }
-        let density = DENSITY * way.density.variance_factor();
+        let density = DENSITY * travel.density.variance_factor();
         assert!((0.02..0.08).contains(&density), "{density}");
     }
 }

@@ -13,15 +13,15 @@ use crate::{Space, TrajectoryId};
 
 impl<S: Space> PoseGraph<S> {
     /// Moves parts that were placed far from where odometry says back there, unless their scans agree better with the map where they are.
-    pub(super) fn doubt_places_after_gaps(&mut self) {
+    pub(super) fn verify_places_after_gaps(&mut self) {
         let ids: Vec<TrajectoryId> = self.state.trajectories.keys().copied().collect();
         for id in ids {
-            if self.stop.is_asked() {
+            if self.stop.is_requested() {
                 return;
             }
             // What was moved before may have brought the two sides of this gap together.
             if let Some(by) = self.motion_to_odometry(id) {
-                self.try_where_odometry_says(id, &by);
+                self.try_odometry_hypothesis(id, &by);
             }
         }
     }
@@ -33,13 +33,13 @@ impl<S: Space> PoseGraph<S> {
         let expected = self.problem.submaps.get(&tie.submap_id)? * tie.submap_from_node;
         let placed = self.problem.nodes.get(&tie.node_id)?.map_from_node;
         let error = placed.inverse() * expected;
-        let window = self.policy.loops.window(gap.way, gap.way);
+        let window = self.policy.loops.window(gap.path_length, gap.path_length);
         let is_near =
             error.translation.vector.norm() <= window.linear && rotation_angle(&error) <= window.angular;
         (!is_near).then(|| expected * placed.inverse())
     }
 
-    fn try_where_odometry_says(&mut self, id: TrajectoryId, by: &Rigid3) {
+    fn try_odometry_hypothesis(&mut self, id: TrajectoryId, by: &Rigid3) {
         let part = BTreeSet::from([id]);
         let found = self.consistency_with_others(&part);
         if found.is_confirmed() {
@@ -54,7 +54,7 @@ impl<S: Space> PoseGraph<S> {
         let there = self.consistency_with_others(&part);
         let is_better = contradicted_share(&there) < contradicted_share(&found);
         tracing::debug!("trajectory {id} where it was found: {found:?}, where odometry says: {there:?}");
-        if !is_better || self.stop.is_asked() {
+        if !is_better || self.stop.is_requested() {
             self.restore(before);
         }
     }

@@ -5,9 +5,9 @@ use std::f64::consts::PI;
 use portolan_geometry::{Duration, Rigid2, Time, Vector2, Vector3};
 use portolan_motion::{DegenerateScan, Substitute};
 
-use super::super::guessed_way::Velocity;
 use super::super::motion::{FASTEST, Measured, Motion};
-use super::super::tracking::{Found, LeftOpen};
+use super::super::tracking::{Degeneracy, Found};
+use super::super::unmeasured_travel::Velocity;
 use super::FrontEnd;
 use super::one_scan::Expected;
 
@@ -20,12 +20,12 @@ fn embedded(in_2d: Vector2) -> Vector3 {
 
 impl FrontEnd {
     /// Adds the degenerate directions of a scan to the degenerate intervals.
-    pub(super) fn note_left_open(&mut self, time: Time, expected: &Expected, found: &Found) {
+    pub(super) fn record_degeneracy(&mut self, time: Time, expected: &Expected, found: &Found) {
         let Some(motion) = &expected.motion else { return };
-        let guessed = self.note_guess(time, motion, found);
+        let unmeasured = self.record_unmeasured(time, motion, found);
         let seconds = motion.seconds;
         self.degenerate.moved(&embedded(motion.to(&found.pose).translation), seconds, &Vector3::z());
-        let (of_way, of_turn) = match motion.measured {
+        let (of_translation, of_rotation) = match motion.measured {
             Measured::Whole => (Substitute::Odometry, Substitute::Odometry),
             Measured::Rotation => (Substitute::Velocity, Substitute::Gyroscope),
             Measured::Nothing => (Substitute::Velocity, Substitute::Velocity),
@@ -33,28 +33,28 @@ impl FrontEnd {
         let sigmas = self.tracker.prior(expected.prediction, *motion).sigmas;
         // After a long time the acceleration would explain more motion than a robot is capable of.
         let (metres, radians) = (FASTEST.linear * seconds, (FASTEST.angular * seconds).min(PI));
-        let shift = guessed.unwrap_or(sigmas.translation).min(metres);
+        let shift = unmeasured.unwrap_or(sigmas.translation).min(metres);
         let turned = sigmas.rotation.min(radians);
-        let way = DegenerateScan { time, seconds, taken: of_way, sigma: Some(shift) };
-        let turn = DegenerateScan { time, seconds, taken: of_turn, sigma: Some(turned) };
-        match found.left_open {
-            LeftOpen::Nothing => {}
-            LeftOpen::Along(direction) => {
+        let translation = DegenerateScan { time, seconds, taken: of_translation, sigma: Some(shift) };
+        let rotation = DegenerateScan { time, seconds, taken: of_rotation, sigma: Some(turned) };
+        match found.degeneracy {
+            Degeneracy::None => {}
+            Degeneracy::Direction(direction) => {
                 self.gathered.translation += shift.powi(2);
-                self.degenerate.add_translations(&way, &[embedded(direction)], &Vector3::z());
+                self.degenerate.add_translations(&translation, &[embedded(direction)], &Vector3::z());
             }
-            LeftOpen::Everything => {
+            Degeneracy::Full => {
                 self.gathered.translation += shift.powi(2);
                 self.gathered.rotation += turned.powi(2);
                 let in_2d = [Vector3::x(), Vector3::y()];
-                self.degenerate.add_translations(&way, &in_2d, &Vector3::z());
-                self.degenerate.add_rotations(&turn, &[Vector3::z()], &Vector3::z());
+                self.degenerate.add_translations(&translation, &in_2d, &Vector3::z());
+                self.degenerate.add_rotations(&rotation, &[Vector3::z()], &Vector3::z());
             }
         }
     }
 
     /// Standard deviation that the last step adds to the distance travelled, metres, if it is a guess.
-    fn note_guess(&mut self, time: Time, motion: &Motion, found: &Found) -> Option<f64> {
+    fn record_unmeasured(&mut self, time: Time, motion: &Motion, found: &Found) -> Option<f64> {
         let seconds = motion.seconds.max(LEAST_INTERVAL);
         let velocity = Velocity {
             speed: motion.to(&found.pose).translation.norm() / seconds,
@@ -62,14 +62,14 @@ impl FrontEnd {
         };
         // A stop that is seen where the motion is unobservable may be none; a platform that rested before
         // still does.
-        let still_rests = velocity.is_rest() && self.guessed_way.rested();
-        if still_rests || motion.is_measured() || found.left_open == LeftOpen::Nothing {
-            self.guessed_way.add_known(time, &found.pose, velocity);
+        let still_rests = velocity.is_rest() && self.unmeasured_travel.rested();
+        if still_rests || motion.is_measured() || found.degeneracy == Degeneracy::None {
+            self.unmeasured_travel.add_measured(time, &found.pose, velocity);
             return None;
         }
-        let before = self.guessed_way.sigma(time - Duration::from_seconds(motion.seconds));
-        self.guessed_way.is_guessed(time);
-        let sigma = self.guessed_way.sigma(time);
+        let before = self.unmeasured_travel.sigma(time - Duration::from_seconds(motion.seconds));
+        self.unmeasured_travel.add_unmeasured(time);
+        let sigma = self.unmeasured_travel.sigma(time);
         Some((sigma.powi(2) - before.powi(2)).max(0.0).sqrt())
     }
 }

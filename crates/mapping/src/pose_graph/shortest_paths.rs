@@ -4,12 +4,12 @@ use std::cmp::Ordering;
 use std::collections::{BTreeMap, BinaryHeap};
 
 /// Lengths of the shortest paths from `start` to all places that paths no longer than `longest` lead to
-/// (Dijkstra). `ways` gives the neighbours of a place and the lengths of the edges to them, none of them
+/// (Dijkstra). `edges` gives the neighbours of a place and the lengths of the edges to them, none of them
 /// negative.
-pub(super) fn shortest_ways<K: Ord + Copy, W: IntoIterator<Item = (K, f64)>>(
+pub(super) fn shortest_paths<K: Ord + Copy, W: IntoIterator<Item = (K, f64)>>(
     start: K,
     longest: f64,
-    ways: impl Fn(K) -> W,
+    edges: impl Fn(K) -> W,
 ) -> BTreeMap<K, f64> {
     let mut lengths = BTreeMap::new();
     let mut waiting = BinaryHeap::from([Reached { length: 0.0, at: start }]);
@@ -18,9 +18,9 @@ pub(super) fn shortest_ways<K: Ord + Copy, W: IntoIterator<Item = (K, f64)>>(
             continue;
         }
         lengths.insert(at, length);
-        for (next, way) in ways(at) {
-            if length + way <= longest && !lengths.contains_key(&next) {
-                waiting.push(Reached { length: length + way, at: next });
+        for (next, edge) in edges(at) {
+            if length + edge <= longest && !lengths.contains_key(&next) {
+                waiting.push(Reached { length: length + edge, at: next });
             }
         }
     }

@@ -15,12 +15,12 @@ use crate::settings::LossSettings;
 
 /// State of trust in the pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) enum PoseBelief {
+pub(crate) enum PoseStatus {
     /// Sweeps fit the map.
     #[default]
-    Sure,
+    Confirmed,
     /// Sweeps have contradicted the map. They are not inserted.
-    Doubtful {
+    Suspect {
         /// End of the first one.
         since: Time,
         /// Number of these sweeps.
@@ -65,44 +65,44 @@ pub(crate) struct FitMonitor {
     recent: VecDeque<SweepFit>,
     /// Which of the last sweeps were guesses.
     guesses: VecDeque<bool>,
-    belief: PoseBelief,
+    status: PoseStatus,
 }
 
 impl FitMonitor {
     pub fn new(settings: &LossSettings) -> Self {
         let (recent, guesses) = (VecDeque::new(), VecDeque::new());
-        Self { settings: settings.clone(), recent, guesses, belief: PoseBelief::Sure }
+        Self { settings: settings.clone(), recent, guesses, status: PoseStatus::Confirmed }
     }
 
     /// State after one more sweep. A map that is warming up fits whatever it was made of: there is no
     /// usual fit yet.
-    pub fn after(&mut self, end: Time, support: Support, is_warming_up: bool) -> PoseBelief {
+    pub fn after(&mut self, end: Time, support: Support, is_warming_up: bool) -> PoseStatus {
         let is_chance = self.is_chance(&support);
         if is_warming_up && !is_chance {
-            self.belief = PoseBelief::Sure;
-            return self.belief;
+            self.status = PoseStatus::Confirmed;
+            return self.status;
         }
         let settings = &self.settings;
         let contradicts = is_chance || self.is_poor(&support.fit);
-        self.belief = match (contradicts, self.belief) {
-            (false, _) => PoseBelief::Sure,
-            (true, PoseBelief::Doubtful { since, sweeps })
+        self.status = match (contradicts, self.status) {
+            (false, _) => PoseStatus::Confirmed,
+            (true, PoseStatus::Suspect { since, sweeps })
                 if 2 * (sweeps + 1) >= settings.sweeps && end.seconds_since(since) >= settings.seconds =>
             {
-                PoseBelief::Lost { since }
+                PoseStatus::Lost { since }
             }
-            (true, PoseBelief::Doubtful { since, sweeps }) => {
-                PoseBelief::Doubtful { since, sweeps: sweeps + 1 }
+            (true, PoseStatus::Suspect { since, sweeps }) => {
+                PoseStatus::Suspect { since, sweeps: sweeps + 1 }
             }
-            (true, _) => PoseBelief::Doubtful { since: end, sweeps: 1 },
+            (true, _) => PoseStatus::Suspect { since: end, sweeps: 1 },
         };
-        if self.belief == PoseBelief::Sure {
+        if self.status == PoseStatus::Confirmed {
             self.recent.push_back(support.fit);
             if self.recent.len() > 2 * settings.sweeps {
                 self.recent.pop_front();
             }
         }
-        self.belief
+        self.status
     }
 
     /// Whether so many of the last sweeps were guesses that one that fits does so by chance. A few guesses
@@ -126,8 +126,10 @@ impl FitMonitor {
         let usual_fit = median(&mut self.recent.iter().map(|f| f.fit).collect::<Vec<f64>>());
         let usual_rms = median(&mut self.recent.iter().filter_map(|f| f.rms).collect::<Vec<f64>>());
         let (Some(usual_fit), Some(usual_rms)) = (usual_fit, usual_rms) else { return false };
-        let lies_off = fit.rms.is_none_or(|rms| rms > settings.poor_rms_ratio * usual_rms);
-        usual_fit >= settings.least_usual_fit && fit.fit < settings.poor_fit_ratio * usual_fit && lies_off
+        let is_off_planes = fit.rms.is_none_or(|rms| rms > settings.poor_rms_ratio * usual_rms);
+        usual_fit >= settings.least_usual_fit
+            && fit.fit < settings.poor_fit_ratio * usual_fit
+            && is_off_planes
     }
 }
 
@@ -138,7 +140,7 @@ mod tests {
     use super::*;
 
     /// State after sweeps with these fits, ten a second.
-    fn believed(fits: &[(f64, f64)]) -> Vec<PoseBelief> {
+    fn statuses_after(fits: &[(f64, f64)]) -> Vec<PoseStatus> {
         let mut monitor = FitMonitor::new(&LossSettings::default());
         let at = |i: usize| Time::from_ticks(0) + Duration::from_seconds(0.1 * i as f64);
         let fit = |&(fit, rms): &(f64, f64)| SweepFit { fit, rms: (rms > 0.0).then_some(rms) };
@@ -149,33 +151,34 @@ mod tests {
     #[test]
     fn a_second_of_sweeps_of_another_place_is_a_loss() {
         for elsewhere in [(0.08, 0.13), (0.0, 0.0)] {
-            let beliefs = believed(&[&[(0.4, 0.065); 20][..], &[elsewhere; 12]].concat());
-            assert!(beliefs[..20].iter().all(|b| *b == PoseBelief::Sure), "{beliefs:?}");
+            let statuses = statuses_after(&[&[(0.4, 0.065); 20][..], &[elsewhere; 12]].concat());
+            assert!(statuses[..20].iter().all(|b| *b == PoseStatus::Confirmed), "{statuses:?}");
             let since = Time::from_ticks(20_000_000);
-            assert_eq!(beliefs[20], PoseBelief::Doubtful { since, sweeps: 1 });
-            assert_eq!(beliefs[29], PoseBelief::Doubtful { since, sweeps: 10 });
-            assert_eq!(beliefs[30], PoseBelief::Lost { since });
+            assert_eq!(statuses[20], PoseStatus::Suspect { since, sweeps: 1 });
+            assert_eq!(statuses[29], PoseStatus::Suspect { since, sweeps: 10 });
+            assert_eq!(statuses[30], PoseStatus::Lost { since });
         }
     }
 
     #[test]
-    fn a_door_a_single_sweep_and_open_country_are_none() {
-        let sure = |fits: &[(f64, f64)]| believed(fits).iter().all(|b| *b == PoseBelief::Sure);
+    fn doors_single_sweeps_and_open_country_are_no_loss() {
+        let sure = |fits: &[(f64, f64)]| statuses_after(fits).iter().all(|b| *b == PoseStatus::Confirmed);
         // A new room: few points on planes, but close to them.
         assert!(sure(&[&[(0.5, 0.03); 20][..], &[(0.15, 0.04); 30]].concat()));
         // Among trees there are hardly any planes.
         assert!(sure(&[&[(0.08, 0.09); 20][..], &[(0.0, 0.0); 30]].concat()));
         // At the beginning there is no usual fit.
         assert!(sure(&[&[(0.5, 0.03); 5][..], &[(0.05, 0.13); 30]].concat()[..7]));
-        let beliefs = believed(&[&[(0.4, 0.065); 20][..], &[(0.05, 0.13); 9], &[(0.4, 0.065); 2]].concat());
-        assert!(beliefs.iter().all(|b| !matches!(b, PoseBelief::Lost { .. })));
-        assert_eq!(beliefs[29..], [PoseBelief::Sure; 2]);
+        let statuses =
+            statuses_after(&[&[(0.4, 0.065); 20][..], &[(0.05, 0.13); 9], &[(0.4, 0.065); 2]].concat());
+        assert!(statuses.iter().all(|b| !matches!(b, PoseStatus::Lost { .. })));
+        assert_eq!(statuses[29..], [PoseStatus::Confirmed; 2]);
     }
 
     #[test]
-    fn where_nothing_tells_the_motion_for_a_second_it_is_lost() {
-        let beliefs =
-            |is_measured: bool, is_warming_up: bool, fits_at: fn(usize) -> bool| -> Vec<PoseBelief> {
+    fn a_second_of_unmeasured_motion_is_a_loss() {
+        let statuses =
+            |is_measured: bool, is_warming_up: bool, fits_at: fn(usize) -> bool| -> Vec<PoseStatus> {
                 let mut monitor = FitMonitor::new(&LossSettings::default());
                 let at = |i: usize| Time::from_ticks(0) + Duration::from_seconds(0.1 * i as f64);
                 let support = |i| {
@@ -185,13 +188,13 @@ mod tests {
                 };
                 (0..60).map(|i| monitor.after(at(i), support(i), is_warming_up)).collect()
             };
-        let is_lost = |beliefs: &[PoseBelief]| beliefs.iter().any(|b| matches!(b, PoseBelief::Lost { .. }));
+        let is_lost = |statuses: &[PoseStatus]| statuses.iter().any(|b| matches!(b, PoseStatus::Lost { .. }));
         for is_warming_up in [false, true] {
-            assert!(is_lost(&beliefs(false, is_warming_up, |_| false)));
+            assert!(is_lost(&statuses(false, is_warming_up, |_| false)));
             // Now and then one fits, by chance.
-            assert!(is_lost(&beliefs(false, is_warming_up, |i| i % 3 == 0)));
-            assert!(!is_lost(&beliefs(false, is_warming_up, |i| i % 8 != 0)));
-            assert!(!is_lost(&beliefs(true, is_warming_up, |_| false)));
+            assert!(is_lost(&statuses(false, is_warming_up, |i| i % 3 == 0)));
+            assert!(!is_lost(&statuses(false, is_warming_up, |i| i % 8 != 0)));
+            assert!(!is_lost(&statuses(true, is_warming_up, |_| false)));
         }
     }
 }

@@ -14,20 +14,20 @@ const MOST: usize = 36;
 const FEW: usize = 18;
 /// Number of independent measurements below which every match is weighed with the prediction: a quarter of
 /// the maximum. The few surfaces in reach look alike at many poses.
-const NEXT_TO_NONE: usize = 9;
+const VERY_FEW: usize = 9;
 
 /// Number of independent measurements among the returns of a scan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Witnesses(usize);
+pub(super) struct IndependentMeasurements(usize);
 
-impl Default for Witnesses {
+impl Default for IndependentMeasurements {
     /// That of a scan with returns all around.
     fn default() -> Self {
         Self(MOST)
     }
 }
 
-impl Witnesses {
+impl IndependentMeasurements {
     /// Counts the sectors of returns in the frame of the scanner.
     pub fn of(returns: &PointCloud) -> Self {
         let mut seen = [false; SECTORS];
@@ -50,8 +50,8 @@ impl Witnesses {
     }
 
     /// Whether it constrains its pose so weakly that the match is weighed with the prediction.
-    pub fn are_next_to_none(self) -> bool {
-        self.0 < NEXT_TO_NONE
+    pub fn are_very_few(self) -> bool {
+        self.0 < VERY_FEW
     }
 }
 
@@ -60,22 +60,22 @@ mod tests {
     use super::*;
     use portolan_geometry::Point3f;
 
-    fn seen(degrees: impl Iterator<Item = i32>) -> Witnesses {
+    fn seen(degrees: impl Iterator<Item = i32>) -> IndependentMeasurements {
         let point = |d: i32| {
             let (y, x) = f64::from(d).to_radians().sin_cos();
             Point3f::new(x as f32, y as f32, 0.0)
         };
-        Witnesses::of(&PointCloud::new(degrees.map(point).collect()))
+        IndependentMeasurements::of(&PointCloud::new(degrees.map(point).collect()))
     }
 
     #[test]
-    fn neighbours_are_one_witness() {
+    fn neighbouring_beams_are_one_independent_measurement() {
         assert!(seen(0..0).are_few());
-        assert!(seen(1..20).are_next_to_none());
-        assert!(seen(1..80).are_few() && !seen(1..80).are_next_to_none());
+        assert!(seen(1..20).are_very_few());
+        assert!(seen(1..80).are_few() && !seen(1..80).are_very_few());
         assert_eq!(seen(1..5), seen(1..2));
         assert!(!seen(-89..90).are_few());
-        assert_eq!(seen(-89..90), Witnesses::default());
-        assert_eq!(seen(0..360), Witnesses::default());
+        assert_eq!(seen(-89..90), IndependentMeasurements::default());
+        assert_eq!(seen(0..360), IndependentMeasurements::default());
     }
 }

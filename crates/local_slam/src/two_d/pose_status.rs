@@ -9,7 +9,7 @@ const CONTRADICTED: f32 = 0.4;
 /// The same limit where odometry measured the motion, with a maximum fraction of explained beams, and a
 /// minimum fraction of beams that pass through walls. People and moved objects hide walls, but no beam
 /// passes through one (docs/experiments/2026-11-carried-2d.md).
-const CONTRADICTED_IN_SPITE_OF_ODOMETRY: f32 = 0.35;
+const CONTRADICTED_WITH_ODOMETRY: f32 = 0.35;
 const EXPLAINED: f32 = 0.4;
 const THROUGH_WALLS: f32 = 0.05;
 /// Minimum number of contradicting scans in a row, and their minimum duration, seconds, for the pose to be
@@ -38,12 +38,12 @@ impl Fit {
 
 /// State of trust in the pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) enum PoseBelief {
+pub(super) enum PoseStatus {
     /// Scans fit the map.
     #[default]
-    Sure,
+    Confirmed,
     /// Scans have contradicted the map since then. They are not inserted.
-    Doubtful {
+    Suspect {
         /// Time of the first one.
         since: Time,
         /// Number of these scans.
@@ -59,43 +59,43 @@ pub(super) enum PoseBelief {
     },
 }
 
-impl PoseBelief {
+impl PoseStatus {
     /// State after one more scan, with its agreement with the map; none if there is no map to compare
     /// with.
     pub fn after(self, time: Time, fit: Option<Fit>) -> Self {
-        match fit.is_some_and(|fit| self.is_doubted(&fit)) {
-            true => self.doubted(time, false),
-            false => Self::Sure,
+        match fit.is_some_and(|fit| self.is_contradicted_by(&fit)) {
+            true => self.after_contradiction(time, false),
+            false => Self::Confirmed,
         }
     }
 
     /// State after one more scan that fits badly even at its best match, and only far from its pose by
     /// odometry or after a time without measurements: none of the searched poses is correct then.
     pub fn after_guess(self, time: Time) -> Self {
-        self.doubted(time, true)
+        self.after_contradiction(time, true)
     }
 
-    fn doubted(self, time: Time, is_jump: bool) -> Self {
+    fn after_contradiction(self, time: Time, is_guess: bool) -> Self {
         let (since, scans, is_elsewhere) = match self {
-            Self::Doubtful { since, scans, is_elsewhere } => (since, scans + 1, is_elsewhere),
-            Self::Sure | Self::Lost { .. } => (time, 1, is_jump),
+            Self::Suspect { since, scans, is_elsewhere } => (since, scans + 1, is_elsewhere),
+            Self::Confirmed | Self::Lost { .. } => (time, 1, is_guess),
         };
         if scans >= SCANS && time.seconds_since(since) >= SECONDS {
             return Self::Lost { since };
         }
-        Self::Doubtful { since, scans, is_elsewhere }
+        Self::Suspect { since, scans, is_elsewhere }
     }
 
     /// Whether a scan does not fit. Where odometry measured the motion more evidence is needed: scans of a
     /// new room may contradict what was seen of it through a door, and those among people contradict
     /// everything; odometry bridges them.
-    fn is_doubted(self, fit: &Fit) -> bool {
+    fn is_contradicted_by(self, fit: &Fit) -> bool {
         let Fit { agreement, is_measured, .. } = fit;
-        let is_guess = matches!(self, Self::Doubtful { is_elsewhere: true, .. });
+        let is_guess = matches!(self, Self::Suspect { is_elsewhere: true, .. });
         let fits_nothing = match self {
             _ if !is_measured => agreement.contradicted() >= CONTRADICTED,
-            Self::Doubtful { .. } => fits_badly(agreement),
-            Self::Sure | Self::Lost { .. } => refutes_place(agreement),
+            Self::Suspect { .. } => fits_badly(agreement),
+            Self::Confirmed | Self::Lost { .. } => refutes_place(agreement),
         };
         fits_nothing || is_guess && fit.is_poor()
     }
@@ -107,7 +107,7 @@ pub(super) fn is_hardly_explained(agreement: &ScanAgreement) -> bool {
 }
 
 fn fits_badly(agreement: &ScanAgreement) -> bool {
-    agreement.contradicted() >= CONTRADICTED_IN_SPITE_OF_ODOMETRY && is_hardly_explained(agreement)
+    agreement.contradicted() >= CONTRADICTED_WITH_ODOMETRY && is_hardly_explained(agreement)
 }
 
 /// Whether the map shows that the scan was not taken at this pose, whatever moved meanwhile.
@@ -124,60 +124,63 @@ mod tests {
     }
 
     #[test]
-    fn a_door_is_no_loss_and_ten_scans_of_something_else_are() {
+    fn a_door_is_no_loss_and_a_second_of_another_place_is_one() {
         let agreement = |explained: f32| {
             Some(ScanAgreement { explained, in_free_space: 0.9 - explained, through_solid: 0.0 })
         };
         let at = |i: i64| Time::from_ticks(2_000_000 * i);
-        let mut belief = PoseBelief::Sure;
+        let mut status = PoseStatus::Confirmed;
         for i in 0..4 {
-            belief = belief.after(at(i), fit(agreement(0.1), false, false));
+            status = status.after(at(i), fit(agreement(0.1), false, false));
         }
-        assert_eq!(belief, PoseBelief::Doubtful { since: at(0), scans: 4, is_elsewhere: false });
-        assert_eq!(belief.after(at(4), fit(agreement(0.8), false, false)), PoseBelief::Sure);
-        assert_eq!(belief.after(at(4), fit(None, false, false)), PoseBelief::Sure);
-        belief = belief.after(at(4), fit(agreement(0.1), false, false));
-        assert_eq!(belief, PoseBelief::Doubtful { since: at(0), scans: 5, is_elsewhere: false });
-        assert_eq!(belief.after(at(5), fit(agreement(0.1), false, false)), PoseBelief::Lost { since: at(0) });
+        assert_eq!(status, PoseStatus::Suspect { since: at(0), scans: 4, is_elsewhere: false });
+        assert_eq!(status.after(at(4), fit(agreement(0.8), false, false)), PoseStatus::Confirmed);
+        assert_eq!(status.after(at(4), fit(None, false, false)), PoseStatus::Confirmed);
+        status = status.after(at(4), fit(agreement(0.1), false, false));
+        assert_eq!(status, PoseStatus::Suspect { since: at(0), scans: 5, is_elsewhere: false });
+        assert_eq!(status.after(at(5), fit(agreement(0.1), false, false)), PoseStatus::Lost { since: at(0) });
     }
 
     #[test]
-    fn a_place_where_little_fits_is_none_until_something_does() {
+    fn a_guessed_pose_needs_scans_that_fit() {
         let at = |i: i64| Time::from_ticks(2_000_000 * i);
         let agreement = |explained| Some(ScanAgreement { explained, in_free_space: 0.3, through_solid: 0.1 });
-        let mut belief = PoseBelief::Sure.after_guess(at(0));
-        assert_eq!(belief, PoseBelief::Doubtful { since: at(0), scans: 1, is_elsewhere: true });
-        assert_eq!(belief.after(at(1), fit(agreement(0.6), true, false)), PoseBelief::Sure);
+        let mut status = PoseStatus::Confirmed.after_guess(at(0));
+        assert_eq!(status, PoseStatus::Suspect { since: at(0), scans: 1, is_elsewhere: true });
+        assert_eq!(status.after(at(1), fit(agreement(0.6), true, false)), PoseStatus::Confirmed);
         for i in 1..=5 {
-            belief = belief.after(at(i), fit(agreement(0.45), true, true));
+            status = status.after(at(i), fit(agreement(0.45), true, true));
         }
-        assert_eq!(belief, PoseBelief::Lost { since: at(0) });
+        assert_eq!(status, PoseStatus::Lost { since: at(0) });
         // The same where the motion was unmeasured, or most of the scan is new.
-        let believed = |explained: f32, looks_wrong| {
-            (1..=5).fold(PoseBelief::Sure.after_guess(at(0)), |belief, i| {
+        let status_after = |explained: f32, looks_wrong| {
+            (1..=5).fold(PoseStatus::Confirmed.after_guess(at(0)), |status, i| {
                 let agreement = ScanAgreement { explained, in_free_space: 0.3, through_solid: 0.05 };
-                belief.after(at(i), fit(Some(agreement), false, looks_wrong))
+                status.after(at(i), fit(Some(agreement), false, looks_wrong))
             })
         };
-        assert_eq!([believed(0.45, true), believed(0.3, false)], [PoseBelief::Lost { since: at(0) }; 2]);
-        assert_eq!(believed(0.45, false), PoseBelief::Sure);
+        assert_eq!(
+            [status_after(0.45, true), status_after(0.3, false)],
+            [PoseStatus::Lost { since: at(0) }; 2]
+        );
+        assert_eq!(status_after(0.45, false), PoseStatus::Confirmed);
         // Otherwise more evidence is needed.
-        let door = PoseBelief::Sure.after(at(0), fit(agreement(0.1), true, true));
-        assert_eq!(door, PoseBelief::Doubtful { since: at(0), scans: 1, is_elsewhere: false });
-        assert_eq!(door.after(at(1), fit(agreement(0.45), true, true)), PoseBelief::Sure);
+        let door = PoseStatus::Confirmed.after(at(0), fit(agreement(0.1), true, true));
+        assert_eq!(door, PoseStatus::Suspect { since: at(0), scans: 1, is_elsewhere: false });
+        assert_eq!(door.after(at(1), fit(agreement(0.45), true, true)), PoseStatus::Confirmed);
     }
 
     #[test]
-    fn odometry_is_believed_among_people_but_not_where_beams_pass_walls() {
+    fn odometry_is_trusted_among_people_but_not_where_beams_pass_walls() {
         let at = |i: i64| Time::from_ticks(2_000_000 * i);
-        let believed = |through_solid: f32| {
+        let status_after = |through_solid: f32| {
             let agreement = ScanAgreement { explained: 0.1, in_free_space: 0.6, through_solid };
-            (0..10).map(at).fold(PoseBelief::Sure, |b, time| match b {
-                PoseBelief::Lost { .. } => b,
+            (0..10).map(at).fold(PoseStatus::Confirmed, |b, time| match b {
+                PoseStatus::Lost { .. } => b,
                 _ => b.after(time, fit(Some(agreement), true, false)),
             })
         };
-        assert_eq!(believed(0.0), PoseBelief::Sure);
-        assert_eq!(believed(0.2), PoseBelief::Lost { since: at(0) });
+        assert_eq!(status_after(0.0), PoseStatus::Confirmed);
+        assert_eq!(status_after(0.2), PoseStatus::Lost { since: at(0) });
     }
 }
