@@ -1,6 +1,8 @@
 #![doc = include_str!("../README.md")]
 #![allow(clippy::expect_used, clippy::panic)] // this is how faults are shown
 
+use std::sync::Once;
+
 mod documents;
 mod maps;
 mod messages;
@@ -40,6 +42,20 @@ pub const BODIES: [(&str, Body); 20] = [
     ("uos", uos),
     ("urdf", urdf),
 ];
+
+/// Panic hooks are no longer called for panics of libraries that readers catch: damage of a file. libFuzzer
+/// aborts in its hook.
+pub fn ignore_caught_panics() {
+    static ONCE: Once = Once::new();
+    ONCE.call_once(|| {
+        let usual = std::panic::take_hook();
+        std::panic::set_hook(Box::new(move |panic| {
+            if !portolan_pointcloud::is_panic_caught() {
+                usual(panic);
+            }
+        }));
+    });
+}
 
 /// Parts of an input that represents `N` files; missing parts are empty.
 fn parts<const N: usize>(bytes: &[u8]) -> [&[u8]; N] {

@@ -13,10 +13,9 @@ mod samples;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::Once;
 use std::time::{Duration, Instant};
 
-use portolan_fuzz_bodies::BODIES;
+use portolan_fuzz_bodies::{BODIES, ignore_caught_panics};
 use portolan_testing::damage::{Random, damaged};
 use portolan_testing::is_fast;
 
@@ -69,19 +68,6 @@ impl Amount {
     }
 }
 
-/// Panics of libraries that readers catch are damage of a file.
-fn keep_caught_panics_quiet() {
-    static QUIET: Once = Once::new();
-    QUIET.call_once(|| {
-        let usual = std::panic::take_hook();
-        std::panic::set_hook(Box::new(move |panic| {
-            if !portolan_pointcloud::is_panic_caught() {
-                usual(panic);
-            }
-        }));
-    });
-}
-
 fn input(sample: &Sample, bytes: &[u8]) -> Vec<u8> {
     [&sample.prefix, bytes].concat()
 }
@@ -97,7 +83,7 @@ fn run(name: &str) {
     let (_, body) = BODIES.iter().find(|(known, _)| *known == name).unwrap();
     let samples = samples_of(name);
     assert!(!samples.is_empty(), "{name}: nothing to begin with");
-    keep_caught_panics_quiet();
+    ignore_caught_panics();
     let start = Instant::now();
     samples.iter().for_each(|sample| body(&input(sample, &sample.bytes)));
     body(&[]);

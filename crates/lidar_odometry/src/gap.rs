@@ -7,6 +7,8 @@
 //! last sweep before the gap. Sweeps after the gap are tracked with each hypothesis, and the one under which
 //! they fit the map best is accepted.
 
+use std::rc::Rc;
+
 use portolan_geometry::{
     Duration, Quaternion, Rigid3, Time, Vector3, angle_axis_from_quaternion, quaternion_from_angle_axis,
 };
@@ -16,11 +18,11 @@ use crate::hypotheses::{self, Other};
 use crate::initialise::{FirstSweeps, RotationAt, Start};
 use crate::issues::Issues;
 use crate::segment::{MotionSource, TrajectorySegment};
-use crate::settings::OdometrySettings;
 use crate::settings::constants::initialise::VELOCITY_INTERVAL;
+use crate::settings::{CorrelationSettings, OdometrySettings};
 use crate::sweep::Sweep;
 use crate::tracker::{RegisteredSweep, Tracker};
-use crate::wide_search::correlated;
+use crate::wide_search::{correlated, headings};
 
 /// Velocities in the tracking frame.
 #[derive(Clone, Copy, Debug)]
@@ -48,8 +50,10 @@ pub(crate) enum NextSweep {
     Waits,
     /// It is registered from its prediction.
     AsPredicted,
-    /// It is registered from the pose that this motion leads to.
-    After(GapMotion),
+    /// It comes after a gap, and is registered from the pose that this motion leads to, or from its
+    /// prediction. Uncertain: the sweeps after the gap fit nearly as well elsewhere, or see mostly new
+    /// surroundings.
+    AfterGap { motion: Option<GapMotion>, is_uncertain: bool },
 }
 
 /// Decides how the first of these sweeps is treated. `is_ended`: no more will come.
@@ -81,6 +85,38 @@ pub(crate) fn next_sweep(
     best(tracker, settings, &sweeps[..sweeps.len().min(judges)], motions)
 }
 
+/// A hypothesis of the motion, followed over the sweeps after a gap.
+struct Followed {
+    /// None: as predicted.
+    motion: Option<GapMotion>,
+    /// Total fit.
+    fit: f64,
+    /// Fit of the first sweep, to the map before the gap.
+    fit_of_first: f64,
+    /// Pose at the end of the last sweep.
+    last: Rigid3,
+}
+
+impl Followed {
+    /// Follows a hypothesis; none if its total fit is not above `least`.
+    fn new(tracker: &Tracker, sweeps: &[Sweep], motion: Option<GapMotion>, least: f64) -> Option<Self> {
+        let (mut fit_of_first, mut last) = (None, Rigid3::identity());
+        let each = |registered: RegisteredSweep| {
+            fit_of_first.get_or_insert(registered.fit);
+            last = registered.local_from_tracking;
+        };
+        let fit = tracker.fork().fit_better(least, motion, sweeps, &mut Issues::default(), each)?;
+        Some(Self { motion, fit, fit_of_first: fit_of_first.unwrap_or(0.0), last })
+    }
+
+    /// Whether both lead to different places, and not to two starts of registration to the same.
+    fn is_elsewhere(&self, other: &Self, settings: &CorrelationSettings) -> bool {
+        let between = self.last.inverse() * other.last;
+        between.translation.vector.norm() > f64::from(settings.cell)
+            || between.rotation.angle() > settings.widest
+    }
+}
+
 /// The motion under which the sweeps fit best; constant velocity is the first hypothesis.
 fn best(
     tracker: &Tracker,
@@ -88,14 +124,29 @@ fn best(
     sweeps: &[Sweep],
     motions: Vec<GapMotion>,
 ) -> NextSweep {
-    let fit_better = |least, motion| {
-        tracker.fork().fit_better(least, motion, sweeps, &mut Issues::default(), drop::<RegisteredSweep>)
-    };
-    let as_predicted = fit_better(f64::NEG_INFINITY, None).unwrap_or(0.0);
     let clearly_better = settings.hypotheses.better_over_sweeps;
+    let Some(predicted) = Followed::new(tracker, sweeps, None, f64::NEG_INFINITY) else {
+        return NextSweep::AsPredicted;
+    };
+    // Those that are nearly as good as the best one are rivals, which make it uncertain.
+    let predicted = Rc::new(predicted);
+    let mut rivals = vec![Rc::clone(&predicted)];
     let others = motions.into_iter().map(|motion| Other { motion, clearly_better });
-    let follow = |motion, least| Some((NextSweep::After(motion), fit_better(least, Some(motion))?));
-    hypotheses::best((NextSweep::AsPredicted, as_predicted), others, |followed| followed.1, follow).0
+    let best = hypotheses::best(
+        predicted,
+        others,
+        |followed| followed.fit,
+        |motion, least| {
+            let followed = Rc::new(Followed::new(tracker, sweeps, Some(motion), least / clearly_better)?);
+            rivals.push(Rc::clone(&followed));
+            Some(followed)
+        },
+    );
+    let is_rival = |other: &Rc<Followed>| {
+        other.fit * clearly_better > best.fit && other.is_elsewhere(&best, &settings.correlation)
+    };
+    let is_uncertain = rivals.iter().any(is_rival) || tracker.is_mostly_new(best.fit_of_first);
+    NextSweep::AfterGap { motion: best.motion, is_uncertain }
 }
 
 impl Velocities {
@@ -162,7 +213,7 @@ impl GapMotion {
         }
         let angular = if segment.rotation_is_measured() { 0.0 } else { correlation.widest };
         let window = Window { linear, angular };
-        let headings = std::iter::once(0.0);
+        let headings = headings(&segment, settings);
         let peaks = correlated(tracker.last_fitting(), first, &segment, window, headings, correlation);
         let at = |peak: Peak| {
             let heading = angle_axis_from_quaternion(&peak.pose.rotation).z;

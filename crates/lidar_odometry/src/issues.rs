@@ -33,6 +33,8 @@ pub enum Issue {
     /// A sweep before which the distance travelled had been unmeasured for seconds: constant velocity was
     /// assumed.
     TravelGuessed,
+    /// The first sweep after a gap in which no sensor measured the motion; its pose is uncertain.
+    GapUncertain,
 }
 
 impl Issue {
@@ -59,6 +61,7 @@ impl Issue {
             Self::ContradictsMap => IssueKind::ScanContradictsMap,
             Self::PlaceHidden => IssueKind::ScanOccluded,
             Self::TravelGuessed => IssueKind::TravelGuessed,
+            Self::GapUncertain => IssueKind::GapUncertain,
         }
     }
 }

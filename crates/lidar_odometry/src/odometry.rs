@@ -125,7 +125,12 @@ impl LidarOdometry {
                     let gap = match gap::next_sweep(tracker, &self.settings, sweeps, self.is_ended) {
                         NextSweep::Waits => break,
                         NextSweep::AsPredicted => None,
-                        NextSweep::After(motion) => Some(motion),
+                        NextSweep::AfterGap { motion, is_uncertain } => {
+                            if is_uncertain {
+                                self.issues.count(Issue::GapUncertain);
+                            }
+                            motion
+                        }
                     };
                     let Some(sweep) = self.waiting.pop_front() else { break };
                     let fallback = fallback.as_deref_mut();

@@ -116,6 +116,12 @@ impl FitMonitor {
         2 * guesses > self.settings.sweeps
     }
 
+    /// Whether a sweep with this fit sees mostly surroundings that are not in the map.
+    pub fn is_mostly_new(&self, fit: f64) -> bool {
+        let usual_fit = median(&mut self.recent.iter().map(|f| f.fit).collect::<Vec<f64>>());
+        usual_fit.is_some_and(|usual_fit| fit < self.settings.poor_fit_ratio * usual_fit)
+    }
+
     /// Whether a sweep contradicts the map: it fits much worse than those before it, and its points are
     /// off the planes. It moved differently than predicted, or is elsewhere.
     pub fn is_poor(&self, fit: &SweepFit) -> bool {

@@ -181,6 +181,11 @@ impl Tracker {
         &self.last_fitting
     }
 
+    /// Whether a sweep with this fit sees mostly surroundings that are not in the map.
+    pub fn is_mostly_new(&self, fit: f64) -> bool {
+        self.fits.is_mostly_new(fit)
+    }
+
     /// Total fit of sweeps by the points that constrain the motion, if they are tracked from here; the
     /// first of them after the motion `gap`, if given. None, as soon as that is certain, if they do not
     /// fit better than `least`. Passes each sweep to `each`.

@@ -61,7 +61,7 @@ impl WideSearch<'_> {
         let segment = &prediction.segment;
         let end = segment.end();
         let window = self.window(segment);
-        let headings = self.headings(segment.rotation_is_measured());
+        let headings = headings(segment, self.settings);
         let sample = self.registration.sample(sweep);
         let settings = &self.settings.correlation;
         let peaks = correlated(self.before, sweep, segment, window, headings, settings);
@@ -92,13 +92,21 @@ impl WideSearch<'_> {
         let linear = Window::after(segment.seconds(), is_measured, settings).linear;
         Window { linear, angular: if is_measured { 0.0 } else { settings.widest } }
     }
+}
 
-    /// Initial headings relative to the predicted one, radians: small ones first.
-    fn headings(&self, is_measured: bool) -> impl Iterator<Item = f64> {
-        let step = 2.0 * self.settings.correlation.widest;
-        let each = if is_measured { 0 } else { self.settings.hypotheses.headings_each_side };
-        let each = i32::try_from(each).unwrap_or(0);
-        let sides = (1..=each).flat_map(|i| [i, -i]);
-        std::iter::once(0).chain(sides).map(move |i| step * f64::from(i))
-    }
+/// Initial headings relative to the predicted one, radians, small ones first: none but that where the rotation
+/// was measured, and all around after a long gap.
+pub(crate) fn headings(
+    segment: &TrajectorySegment,
+    settings: &OdometrySettings,
+) -> impl Iterator<Item = f64> {
+    let step = 2.0 * settings.correlation.widest;
+    let all_around = (std::f64::consts::PI / step).ceil() as i32;
+    let each_side = match settings.hypotheses.long_gap < segment.seconds() {
+        _ if segment.rotation_is_measured() => 0,
+        true => all_around,
+        false => i32::try_from(settings.hypotheses.headings_each_side).unwrap_or(all_around).min(all_around),
+    };
+    let sides = (1..=each_side).flat_map(|i| [i, -i]);
+    std::iter::once(0).chain(sides).map(move |i| step * f64::from(i))
 }
