@@ -223,7 +223,7 @@ kinds! {
     ScanAfterGapNotFound Warning "scan after a gap in all sensors, not relocalised; its pose is a guess"
     ScanFitsNoPlane Warning "scan that fits no plane; its pose follows from odometry, IMU, constant velocity or matching to grids"
     TravelGuessed Error "scan before which no sensor measured the travelled distance for seconds; constant velocity was assumed"
-    GapUncertain Error "gap in which no sensor measured the motion, and after which scans fit elsewhere nearly as well or see mostly new surroundings: what comes after it may be misplaced"
+    GapUncertain Error "gap in which no sensor measured the motion, and after which scans fit elsewhere nearly as well, see mostly new surroundings, or fit after a large turn: what comes after it may be misplaced"
     OdometryOverruled Warning "scan whose motion contradicts odometry, which was not used"
     OdometryCorrected Warning "odometry measures {factor} times the distance of scans; it was corrected by this factor"
     GyroscopeOverruled Warning "sweep whose rotation contradicts the gyroscope; the rotation found by matching was used"

@@ -51,8 +51,8 @@ pub(crate) enum NextSweep {
     /// It is registered from its prediction.
     AsPredicted,
     /// It comes after a gap, and is registered from the pose that this motion leads to, or from its
-    /// prediction. Uncertain: the sweeps after the gap fit nearly as well elsewhere, or see mostly new
-    /// surroundings.
+    /// prediction. Uncertain: the sweeps after the gap fit nearly as well elsewhere, see mostly new
+    /// surroundings, or fit after a turn that nothing measured.
     AfterGap { motion: Option<GapMotion>, is_uncertain: bool },
 }
 
@@ -145,7 +145,9 @@ fn best(
     let is_rival = |other: &Rc<Followed>| {
         other.fit * clearly_better > best.fit && other.is_elsewhere(&best, &settings.correlation)
     };
-    let is_uncertain = rivals.iter().any(is_rival) || tracker.is_mostly_new(best.fit_of_first);
+    // A turn out of the central window of headings, that nothing but look-alike surroundings shows.
+    let is_turned = best.motion.is_some_and(|m| m.elsewhere.1.abs() > 1.5 * settings.correlation.widest);
+    let is_uncertain = is_turned || rivals.iter().any(is_rival) || tracker.is_mostly_new(best.fit_of_first);
     NextSweep::AfterGap { motion: best.motion, is_uncertain }
 }
 
