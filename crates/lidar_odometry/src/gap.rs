@@ -3,8 +3,8 @@
 //! The longer a gap is, the less certain is constant velocity. As at the start of a trajectory, the first
 //! two sweeps after it determine the velocity then, with several hypotheses where that is ambiguous.
 //! Between the velocity before the gap and that after it a constant acceleration is assumed. A platform that
-//! brakes and accelerates again comes elsewhere, so that other places are proposed by correlation with the
-//! last sweep before the gap. Sweeps after the gap are tracked with each hypothesis, and the one under which
+//! brakes and accelerates again ends up elsewhere, so that other places are proposed by correlation with the
+//! last sweep that fitted. Sweeps after the gap are tracked with each hypothesis, and the one under which
 //! they fit the map best is accepted.
 
 use std::rc::Rc;
@@ -22,7 +22,7 @@ use crate::settings::constants::initialise::VELOCITY_INTERVAL;
 use crate::settings::{CorrelationSettings, OdometrySettings};
 use crate::sweep::Sweep;
 use crate::tracker::{RegisteredSweep, Tracker};
-use crate::wide_search::{correlated, headings};
+use crate::wide_search::{Headings, correlated, headings};
 
 /// Velocities in the tracking frame.
 #[derive(Clone, Copy, Debug)]
@@ -137,7 +137,8 @@ fn best(
         others,
         |followed| followed.fit,
         |motion, least| {
-            let followed = Rc::new(Followed::new(tracker, sweeps, Some(motion), least / clearly_better)?);
+            let followed =
+                Rc::new(Followed::new(tracker, sweeps, Some(motion), least / clearly_better.powi(2))?);
             rivals.push(Rc::clone(&followed));
             Some(followed)
         },
@@ -145,7 +146,7 @@ fn best(
     let is_rival = |other: &Rc<Followed>| {
         other.fit * clearly_better > best.fit && other.is_elsewhere(&best, &settings.correlation)
     };
-    // A turn out of the central window of headings, that nothing but look-alike surroundings shows.
+    // A large turn, which only the fit of possibly similar surroundings supports.
     let is_turned = best.motion.is_some_and(|m| m.elsewhere.1.abs() > 1.5 * settings.correlation.widest);
     let is_uncertain = is_turned || rivals.iter().any(is_rival) || tracker.is_mostly_new(best.fit_of_first);
     NextSweep::AfterGap { motion: best.motion, is_uncertain }
@@ -209,13 +210,13 @@ impl GapMotion {
         // Accelerating and braking for half of the gap each.
         let farthest = motion_prior.acceleration * (0.5 * segment.seconds()).powi(2);
         let linear = farthest.min(correlation.farthest);
-        // Registration finds what is nearer.
+        // Registration finds nearer places; in so short a gap the heading hardly changes.
         if linear < 2.0 * f64::from(correlation.cell) {
             return Vec::new();
         }
         let angular = if segment.rotation_is_measured() { 0.0 } else { correlation.widest };
         let window = Window { linear, angular };
-        let headings = headings(&segment, settings);
+        let headings = headings(&segment, Headings::AllAround, settings);
         let peaks = correlated(tracker.last_fitting(), first, &segment, window, headings, correlation);
         let at = |peak: Peak| {
             let heading = angle_axis_from_quaternion(&peak.pose.rotation).z;
@@ -243,7 +244,7 @@ impl GapMotion {
             };
             place += rotation.slerp(&next, 0.5) * now.linear * step;
             (rotation, before) = (next, seconds);
-            // As smooth as the velocities at both ends are known.
+            // Smoothstep: the velocities at both ends stay unchanged.
             let fraction = (seconds / whole).min(1.0);
             let share = fraction * fraction * (3.0 - 2.0 * fraction);
             let (shift, heading) = (self.elsewhere.0 * share, self.elsewhere.1 * share);

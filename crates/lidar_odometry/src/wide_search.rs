@@ -61,7 +61,7 @@ impl WideSearch<'_> {
         let segment = &prediction.segment;
         let end = segment.end();
         let window = self.window(segment);
-        let headings = headings(segment, self.settings);
+        let headings = headings(segment, Headings::NearPredicted, self.settings);
         let sample = self.registration.sample(sweep);
         let settings = &self.settings.correlation;
         let peaks = correlated(self.before, sweep, segment, window, headings, settings);
@@ -94,19 +94,56 @@ impl WideSearch<'_> {
     }
 }
 
-/// Initial headings relative to the predicted one, radians, small ones first: none but that where the rotation
-/// was measured, and all around after a long gap.
+/// Headings that are tried where no gyroscope measured the rotation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Headings {
+    /// Around the predicted one: a gap between key frames.
+    NearPredicted,
+    /// The whole circle: after a long gap.
+    AllAround,
+}
+
+/// Initial headings relative to the predicted one, radians, the smallest first; 0 alone if the rotation was
+/// measured. Windows of headings around them do not overlap, unless they close the circle.
 pub(crate) fn headings(
     segment: &TrajectorySegment,
+    tried: Headings,
     settings: &OdometrySettings,
 ) -> impl Iterator<Item = f64> {
     let step = 2.0 * settings.correlation.widest;
-    let all_around = (std::f64::consts::PI / step).ceil() as i32;
-    let each_side = match settings.hypotheses.long_gap < segment.seconds() {
-        _ if segment.rotation_is_measured() => 0,
-        true => all_around,
-        false => i32::try_from(settings.hypotheses.headings_each_side).unwrap_or(all_around).min(all_around),
+    let each_side = if segment.rotation_is_measured() || step <= 0.0 {
+        0
+    } else {
+        let circle = (std::f64::consts::PI / step - 0.5).ceil().max(0.0) as i32;
+        match tried {
+            Headings::NearPredicted => {
+                i32::try_from(settings.hypotheses.headings_each_side).unwrap_or(circle).min(circle)
+            }
+            Headings::AllAround => circle,
+        }
     };
     let sides = (1..=each_side).flat_map(|i| [i, -i]);
     std::iter::once(0).chain(sides).map(move |i| step * f64::from(i))
+}
+
+#[cfg(test)]
+mod tests {
+    use portolan_geometry::{Duration, Time};
+
+    use super::*;
+
+    #[test]
+    fn windows_of_headings_cover_the_circle_once() {
+        let start = Time::from_ticks(0);
+        let segment =
+            TrajectorySegment::new(start, start + Duration::from_seconds(2.0), |_| Rigid3::identity());
+        let mut settings = OdometrySettings::default();
+        let widest = settings.correlation.widest;
+        let all: Vec<f64> = headings(&segment, Headings::AllAround, &settings).collect();
+        let covered = 2.0 * widest * all.len() as f64;
+        assert!((std::f64::consts::TAU..std::f64::consts::TAU + 4.0 * widest).contains(&covered), "{all:?}");
+        assert_eq!(headings(&segment, Headings::NearPredicted, &settings).count(), 5);
+        settings.correlation.widest = 0.0;
+        assert_eq!(headings(&segment, Headings::AllAround, &settings).count(), 1);
+    }
 }

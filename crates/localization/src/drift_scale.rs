@@ -28,6 +28,9 @@ impl DriftScale {
     /// Adds the squared Mahalanobis distance of a match, be it accepted or not. Single wrong matches have no
     /// effect: the median of several is compared with that of the χ² distribution.
     pub fn add(&mut self, squared_distance: f64, freedom: Freedom) {
+        if squared_distance.is_nan() {
+            return;
+        }
         if let Some(free) = self.squared_distances.get_mut(self.count) {
             *free = squared_distance;
             self.count += 1;

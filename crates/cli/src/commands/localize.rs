@@ -30,8 +30,8 @@ use crate::progress::Progress;
 /// grow with time. `poses.tum` has the poses of the tracking frame while it was localised; `poses.csv` has
 /// every scan with state, reason and covariance; `path.png` shows the path in the map, coloured by state
 /// (green localised, orange uncertain, violet dots tentative); `changes.geojson` has the places that have
-/// changed since the map was made; `report.json` has the rest. Exit codes: 0 localised throughout, 3
-/// localised in parts, 4 never localised.
+/// changed since the map was made; `report.json` has the rest. Exit codes: 0 localised in nearly
+/// all scans since it was found, and never lost; 3 localised in parts, or data were lost; 4 never localised.
 #[derive(clap::Args, Clone, Debug)]
 #[command(after_help = "Examples:\n  portolan localize house/map.pbstream today.bag -o today\n  \
     portolan localize house/map.pbstream today.bag --start 3.5,-2,90\n  \
@@ -55,7 +55,8 @@ pub struct LocalizeArgs {
     /// Pose in the map at which the recording starts, metres and degrees; also X,Y,Z,YAW or
     /// X,Y,Z,ROLL,PITCH,YAW. `gnss`: start at the satellite fixes, in a map that was made with --gnss; this
     /// is the default if the recording has fixes, too. `unknown`: search the whole map, even if there are
-    /// fixes. A start must be confirmed by scans; a wrong one only delays localisation by seconds.
+    /// fixes. A start must be confirmed by scans; a wrong one usually costs seconds, but where places look
+    /// alike it may lead to the wrong one.
     #[arg(long, value_name = "X,Y,YAW", value_parser = start_argument, allow_hyphen_values = true)]
     pub start: Option<StartArgument>,
 

@@ -86,7 +86,7 @@ settings! {
         acceleration: f64 = 4.0, "m/s²", 0.1..=100.0,
             "Unmeasured acceleration of a platform, from which the error of predictions at constant velocity follows",
             origin: "walkers, braking cars",
-            larger: "less weight of constant velocity, the travel witness searches farther";
+            larger: "less weight of constant velocity, the travel correlation searches farther";
         rotational_acceleration: f64 = 10.0, "rad/s²", 0.1..=1000.0,
             "Unmeasured angular acceleration of a platform, from which the error of predictions at constant rotation follows",
             origin: "hand-held lidars",
@@ -118,7 +118,7 @@ settings! {
             origin: "tuned",
             larger: "the gyroscope is used longer";
         headings_each_side: usize = 2, "windows", 0.0..=100.0,
-            "Number of windows of headings to each side of the predicted one in which the pose of a sweep that contradicts the map is searched, if the rotation was unmeasured",
+            "Number of windows of headings to each side of the predicted one in which the pose of a sweep that contradicts the map is searched, if the rotation was unmeasured; after a long gap all around",
             origin: "derived: a carried lidar rotates by 60° between key frames at 2 Hz",
             larger: "slower where sweeps contradict the map";
         better_over_sweeps: f64 = 1.02, "1", 1.0..=10.0,

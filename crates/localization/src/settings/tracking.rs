@@ -14,7 +14,7 @@ pub(crate) const DRIFT_METRES_BY_TIME: f64 = 0.005;
 /// Rotational drift by time, radians per root of a second.
 pub(crate) const DRIFT_RADIANS_BY_TIME: f64 = 0.001;
 /// Number of matches of which the median distance from predictions is compared with what the covariance
-/// predicts: an odd number, about half a second.
+/// predicts: an odd number, half a second at 10 Hz.
 pub(crate) const INNOVATIONS: usize = 5;
 /// Largest factor on the variance of drift. Drift is then about as large as the distance travelled.
 pub(crate) const LARGEST_DRIFT_SCALE: f64 = 1000.0;
